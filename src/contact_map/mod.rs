@@ -1,0 +1,3 @@
+//! The contact map: which sphere each grid cell touches (paper 3.1, 3.2).
+
+pub mod labels;

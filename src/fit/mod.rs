@@ -1,0 +1,3 @@
+//! Spheres from points (paper 3.1, 3.2).
+
+pub mod sphere;
