@@ -66,7 +66,7 @@ pub struct Encoder {
 
 /// Share of the contact distance that one quantisation step takes. Coarser steps cost spheres less
 /// and residuals more; measured flat between 1/3 and 1/8.
-const STEP_SHARE: f64 = 0.25;
+const STEP_SHARE: f64 = 0.125;
 
 impl Encoder {
     /// An encoder for frames of `camera`.

@@ -116,33 +116,39 @@ impl Chart {
         0.5 * if sphere.far { l - root } else { l + root }
     }
 
-    /// The sphere in steps of `step`: inverse depth, changes in x and y, bulge.
+    /// The sphere in steps of `step`: inverse depth, its changes in x and y, bulge.
     fn quantise(&self, sphere: &Sphere, step: f64) -> [i32; 4] {
         let (a, m) = (f64::from(sphere.a), sphere.m.as_dvec3());
         let w = self.inverse_depth(sphere);
         let round = |x: f64| (x / step + 0.5).floor().clamp(-f64::from(MOST), f64::from(MOST)) as i32;
-        let bulge = round(a * self.bulge / w.max(1e-3));
-        // the linear part is stated for the curvature as the decoder will have it
-        let quantised = f64::from(bulge) * step * w.max(1e-3) / self.bulge;
-        // slopes of w: implicit derivative of w = a·q/w + m·r
+        // implicit derivative of w = a·q/w + m·r
         let slope = 1.0 + a * self.q / (w * w);
         let slope = if slope.abs() < 1e-3 { 1e-3 } else { slope };
         let (wu, wv) = ((2.0 * a * self.u / w + m.x) / slope, (2.0 * a * self.v / w + m.y) / slope);
-        let b = quantised;
-        let bend = 1.0 + b * self.q / (w * w);
-        [
-            round(w),
-            round((wu * bend - 2.0 * b * self.u / w) * self.hu),
-            round((wv * bend - 2.0 * b * self.v / w) * self.hv),
-            bulge,
-        ]
+        let (n0, n1, n2) = (round(w), round(wu * self.hu), round(wv * self.hv));
+        let (w, bulge) = self.scale([n0, n1, n2], step);
+        [n0, n1, n2, round(a / slope * bulge / w)]
+    }
+
+    /// Inverse depth (1/m), and what the curvature is multiplied with: half the squared half extent of
+    /// the surface, its run in depth included, over the squared depth.
+    fn scale(&self, n: [i32; 3], step: f64) -> (f64, f64) {
+        let w = (f64::from(n[0]) * step).max(step * 0.5);
+        let (du, dv) = (f64::from(n[1]) * step / w, f64::from(n[2]) * step / w);
+        (w, self.bulge + 0.5 * (du * du + dv * dv))
     }
 
     /// The sphere that the four numbers state.
     fn restore(&self, n: [i32; 4], step: f64, far: bool) -> Sphere {
-        let w = (f64::from(n[0]) * step).max(step * 0.5);
-        let a = f64::from(n[3]) * step * w.max(1e-3) / self.bulge;
-        let (mx, my) = (f64::from(n[1]) * step / self.hu, f64::from(n[2]) * step / self.hv);
+        let (w, bulge) = self.scale([n[0], n[1], n[2]], step);
+        // curvature about the middle, then about the camera (`fit::moments`)
+        let bend = f64::from(n[3]) * step * w / bulge;
+        let turn = 1.0 - bend * self.q / (w * w);
+        let a = bend / if turn.abs() < 1e-3 { 1e-3 } else { turn };
+        let (wu, wv) = (f64::from(n[1]) * step / self.hu, f64::from(n[2]) * step / self.hv);
+        let slope = 1.0 + a * self.q / (w * w);
+        let mx = wu * slope - 2.0 * a * self.u / w;
+        let my = wv * slope - 2.0 * a * self.v / w;
         let mz = w - a * self.q / w - mx * self.u - my * self.v;
         Sphere { a: a as f32, m: Vec3::new(mx as f32, my as f32, mz as f32), far }
     }
