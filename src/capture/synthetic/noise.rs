@@ -14,8 +14,6 @@ use multiversion::multiversion;
 
 /// Side of the window of the hole field, pixels: the size of a speckle.
 const HOLE_SIDE: usize = 7;
-/// Holes are where the hole field is above this many standard deviations: 0.5 % of the pixels.
-const HOLE_LEVEL: f32 = 2.6;
 /// Slope (tangent of the tilt) from which a surface starts to be lost: about 72°.
 const SLANT: f32 = 3.0;
 /// How fast it is lost beyond, standard deviations per unit of slope: half at 80°, all at 84°.
@@ -61,7 +59,7 @@ struct Rows {
     depth: Vec<f32>,
     hole: Vec<f32>,
     slope: Vec<f32>,
-    /// What counts against the pixel, in standard deviations: lost above [`HOLE_LEVEL`].
+    /// What counts against the pixel, in standard deviations: lost above [`Law::hole_level`].
     score: Vec<f32>,
     /// 0, or [`HIDDEN`].
     shadow: Vec<f32>,
@@ -78,6 +76,7 @@ struct Law {
     near: f32,
     far: f32,
     per_unit: f32,
+    hole_level: f32,
     hole: u16,
 }
 
@@ -93,6 +92,7 @@ impl Law {
             // 65535 marks a hole for many readers: never a depth
             far: sensor.range_m.1.min(65534.0 * coding.unit_m) as f32,
             per_unit: (1.0 / coding.unit_m) as f32,
+            hole_level: sensor.hole_level,
             hole: coding.hole,
         }
     }
@@ -189,10 +189,16 @@ impl Noise {
         }
         let line = &self.lines[1][1..=self.width];
         let mut least = f32::INFINITY;
+        let border = if self.sensor.blind_border {
+            0.0
+        } else {
+            f32::NEG_INFINITY
+        };
         for x in (0..self.width).rev() {
             let place = x as f32 - shift * line[x];
             // half a pixel for the slant of ordinary surfaces
-            self.rows.shadow[x] = if place > least + 0.5 { HIDDEN } else { 0.0 };
+            let hidden = place > least + 0.5 || place < border;
+            self.rows.shadow[x] = if hidden { HIDDEN } else { 0.0 };
             least = least.min(place);
         }
     }
@@ -206,7 +212,7 @@ impl Noise {
             let (n, h) = (rows.depth[x], rows.hole[x]);
             if rows.slope[x] < JUMP {
                 let dropout = dropout.get(usize::from(id)).copied().unwrap_or(0.0);
-                if dropout > 0.0 && rows.score[x] > HOLE_LEVEL - dropout {
+                if dropout > 0.0 && rows.score[x] > law.hole_level - dropout {
                     *out = law.hole;
                 }
                 continue;
@@ -279,6 +285,6 @@ fn measure_row(law: Law, lines: [&[f32]; 3], rows: &mut Rows, out: &mut [u16]) {
         let against = hole[x] + shadow[x] + SLANT_LOSS * (tilt - SLANT).max(0.0);
         slope[x] = tilt;
         score[x] = against;
-        out[x] = law.code(law.measure(w, depth[x]), against > HOLE_LEVEL);
+        out[x] = law.code(law.measure(w, depth[x]), against > law.hole_level);
     }
 }
