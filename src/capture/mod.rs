@@ -4,6 +4,7 @@
 //! allocation per frame) and reports every loss it can see.
 
 pub mod sequences;
+pub mod synthetic;
 
 use crate::frame::{Camera, ColorFrame, DepthFrame};
 use std::path::PathBuf;
