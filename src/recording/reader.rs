@@ -181,7 +181,7 @@ impl RecordingReader {
         }
     }
 
-    /// Colour images that stood before the frame last read, and after the one before it.
+    /// Colour images that came with the frame last read: recorded since the frame before it.
     pub fn take_colors(&mut self) -> Vec<ColorFrame> {
         std::mem::take(&mut self.colors)
     }
@@ -299,12 +299,12 @@ impl RecordingReader {
             0 => 0,
             wall => wall.saturating_sub(first.device_ns),
         };
-        for (_, header, place) in self
-            .loaded
-            .colors
-            .iter()
-            .filter(|(before, ..)| *before == inside)
-        {
+        let last = inside + 1 == self.loaded.frames.len();
+        for (before, header, place) in &self.loaded.colors {
+            // what follows a chunk's last frame goes with that frame
+            if *before != inside && !(last && *before > inside) {
+                continue;
+            }
             let time = FrameTime {
                 device_ns: i64::try_from(header.log_time)
                     .unwrap_or(i64::MAX)
