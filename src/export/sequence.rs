@@ -83,7 +83,7 @@ impl Output {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct ExportSummary {
     /// File or folder.
-    pub path: PathBuf,
+    pub path: String,
     /// Files, `camera.json` not counted.
     pub files: u64,
     /// Their bytes.
@@ -167,7 +167,7 @@ impl FileSequence {
             return Err(ExportError::Empty { path });
         }
         Ok(ExportSummary {
-            path,
+            path: path.display().to_string(),
             files: self.files,
             bytes: self.bytes,
         })
