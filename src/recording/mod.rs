@@ -1,1 +1,73 @@
-//! recording
+//! A recording: one MCAP file (or pipe) with the SAINT stream and what belongs to it.
+//!
+//! ```text
+//! EncodedFrame ─┐                                ┌─ frames in order, seek to a key frame
+//! ColorFrame  ──┼─► RecordingWriter ─► .mcap ─► RecordingReader ─ camera, colour
+//! statistics  ──┘    chunks ≤ 1 s                └─ Info: what is in it, what is damaged
+//! ```
+//!
+//! # Channels
+//! | topic | message encoding | schema | content |
+//! |---|---|---|---|
+//! | `saint` | `saint-live/1` | `saint-live.frame` (text) | 25-byte header ([`message`]) and the payload of `codec/FORMAT.md` |
+//! | `calibration` | `json` | `foxglove.CameraCalibration` (jsonschema) | once, at the first frame's time |
+//! | `camera` | `json` | `saint-live.camera` (jsonschema) | the whole [`Camera`](crate::frame::Camera), once |
+//! | `statistics` | `json` | `saint-live.statistics` (jsonschema) | what the pipeline counts |
+//! | `color` | `cdr` | `sensor_msgs/msg/CompressedImage` (ros2msg) | JPEG or PNG, bytes untouched |
+//!
+//! The `saint` channel's metadata repeats the camera as JSON (`camera`), so that the camera is
+//! known from the file's first chunk and from its summary alike, and names the writer
+//! (`generator`). A reader MUST ignore channels it does not know.
+//!
+//! # Time
+//! The exact times stand in the frame's header. MCAP's `log_time` is the device clock moved to
+//! the wall clock of the first frame (`wall₀ + device − device₀`), so it never runs backwards and
+//! reads as a date; where the wall clock is not known it is the device clock. `publish_time` is
+//! the frame's own wall time, or `log_time` where that is not known. Negative times become 0.
+//!
+//! # Chunks
+//! Not compressed (the payload is entropy coded), each with its CRC, closed when it holds a
+//! second of stream time, is a second old on the writer's clock, or holds 4 MiB; also before a
+//! key frame once it holds half a second, so that a lost chunk costs few frames. The file is
+//! flushed when a chunk is closed: what was closed survives whatever comes later.
+//!
+//! # Index
+//! Before the summary stands a metadata record `saint-live.index`: `tally` is JSON (frames per
+//! chunk, numbers of the key frames, times, losses, bytes per channel) and `crc32` its checksum
+//! (8 hex digits), since MCAP guards metadata with nothing. A reader MUST fall back to a scan
+//! where it is missing, fails its checksum, or disagrees with MCAP's own chunk index.
+
+mod calibration;
+mod color;
+mod container;
+mod error;
+mod index;
+mod info;
+pub mod message;
+mod reader;
+mod sink;
+mod tally;
+#[cfg(test)]
+mod tests;
+mod writer;
+
+pub use error::RecordingError;
+pub use info::{ChannelInfo, Damage, Info};
+pub use reader::{RecordingReader, Seek};
+pub use sink::Target;
+pub use writer::{RecordingSummary, RecordingWriter, WriterOptions};
+
+/// Topic of the SAINT stream.
+pub const SAINT_TOPIC: &str = "saint";
+/// Topic of the camera as Foxglove tools read it.
+pub const CALIBRATION_TOPIC: &str = "calibration";
+/// Topic of the camera as we read it.
+pub const CAMERA_TOPIC: &str = "camera";
+/// Topic of the statistics.
+pub const STATISTICS_TOPIC: &str = "statistics";
+/// Topic of the colour images.
+pub const COLOR_TOPIC: &str = "color";
+/// Message encoding of [`SAINT_TOPIC`].
+pub const SAINT_ENCODING: &str = "saint-live/1";
+/// Largest message that is written or read, bytes.
+pub const MAX_MESSAGE: usize = 64 << 20;
