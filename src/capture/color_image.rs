@@ -57,7 +57,7 @@ pub fn png_of_yuyv(bytes: &[u8], width: u32, height: u32) -> Option<Vec<u8>> {
         .ok()?
         .checked_mul(usize::try_from(height).ok()?)?;
     let bytes = bytes.get(..pixels.checked_mul(2)?)?;
-    if pixels == 0 || width % 2 != 0 {
+    if pixels == 0 || !width.is_multiple_of(2) {
         return None;
     }
     let mut rgb = Vec::with_capacity(pixels * 3);

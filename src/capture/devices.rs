@@ -2,9 +2,9 @@
 
 use super::v4l2::depth_format::DepthFormat;
 use super::v4l2::fourcc::FourCc;
-use super::v4l2::negotiation::OfferedFormat;
 use super::v4l2::node::{Capability, VideoNode};
 use super::v4l2::node_kind::{NodeKind, classify};
+use super::v4l2::offer::OfferedFormat;
 use super::v4l2::refusal;
 use super::v4l2::usb::{self, UsbDevice};
 use serde::Serialize;

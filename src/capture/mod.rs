@@ -5,6 +5,7 @@
 
 pub mod color;
 pub mod color_image;
+mod color_open;
 pub mod devices;
 pub mod v4l2;
 

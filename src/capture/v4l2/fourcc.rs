@@ -36,11 +36,16 @@ impl FourCc {
 }
 
 impl fmt::Display for FourCc {
-    /// The printable name without its padding; in hexadecimal when it has other bytes.
+    /// The printable name without its padding, `-BE` after it for a big-endian variant; in
+    /// hexadecimal when it has other bytes.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match std::str::from_utf8(&self.0) {
-            Ok(name) if self.0.iter().all(|b| (0x20..0x7f).contains(b)) => {
-                f.write_str(name.trim_end())
+        let big_endian = self.0[3] & 0x80 != 0;
+        let mut name = self.0;
+        name[3] &= 0x7f;
+        match std::str::from_utf8(&name) {
+            Ok(text) if name.iter().all(|b| (0x20..0x7f).contains(b)) => {
+                let suffix = if big_endian { "-BE" } else { "" };
+                write!(f, "{}{suffix}", text.trim_end())
             }
             _ => write!(f, "0x{:08x}", self.to_kernel()),
         }
@@ -64,6 +69,7 @@ mod tests {
         assert_eq!(z16.to_string(), "Z16");
         assert_eq!(FourCc::from_kernel(z16.to_kernel()), z16);
         assert_eq!(FourCc::from_kernel(0x5634_3231).to_string(), "124V");
+        assert_eq!(FourCc::from_kernel(0xa036_3159).to_string(), "Y16-BE");
     }
 
     #[test]

@@ -7,10 +7,12 @@
 pub mod clock;
 pub mod depth_format;
 pub mod fourcc;
+mod geometry;
 pub mod loss;
 pub mod negotiation;
 pub mod node;
 pub mod node_kind;
+pub mod offer;
 mod realsense;
 pub mod reconnect;
 pub mod refusal;

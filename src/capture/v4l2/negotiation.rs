@@ -2,54 +2,8 @@
 
 use super::depth_format::DepthFormat;
 use super::fourcc::FourCc;
-use serde::Serialize;
-use std::fmt;
-
-/// A pixel format a node offers.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct OfferedFormat {
-    /// Its code.
-    pub pixel_format: FourCc,
-    /// The driver's words for it.
-    pub description: String,
-    /// Sizes, where the driver lists them one by one.
-    pub sizes: Vec<FrameSize>,
-    /// The range of sizes, where the driver gives a range.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub size_range: Option<SizeRange>,
-}
-
-/// One image size and its frame rates.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct FrameSize {
-    /// Pixels per row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Frame rates, frames/s; empty where the driver does not list them.
-    pub fps: Vec<f64>,
-}
-
-/// Sizes in steps: `(width, height)` each.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct SizeRange {
-    /// The smallest.
-    pub min: (u32, u32),
-    /// The largest.
-    pub max: (u32, u32),
-    /// From one to the next, at least 1.
-    pub step: (u32, u32),
-}
-
-impl SizeRange {
-    fn holds(&self, (width, height): (u32, u32)) -> bool {
-        let fits = |v: u32, min: u32, max: u32, step: u32| {
-            v >= min && v <= max && (v - min) % step.max(1) == 0
-        };
-        fits(width, self.min.0, self.max.0, self.step.0)
-            && fits(height, self.min.1, self.max.1, self.step.1)
-    }
-}
+use super::node_kind;
+use super::offer::{OfferedFormat, RateList, SizeList};
 
 /// What the user asked for; `None` leaves the choice to us.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -187,8 +141,9 @@ fn plan_size(wish: Option<(u32, u32)>, offer: &OfferedFormat) -> Result<(u32, u3
             remedy: "choose one of them with --size".into(),
         });
     }
-    let usual_distance =
-        |s: &&FrameSize| (u64::from(s.width) * u64::from(s.height)).abs_diff(USUAL_PIXELS);
+    let usual_distance = |s: &&super::offer::FrameSize| {
+        (u64::from(s.width) * u64::from(s.height)).abs_diff(USUAL_PIXELS)
+    };
     if let Some(size) = offer.sizes.iter().min_by_key(usual_distance) {
         return Ok((size.width, size.height));
     }
@@ -270,41 +225,14 @@ fn list(offered: &[OfferedFormat]) -> String {
     if offered.is_empty() {
         return "no format at all".into();
     }
-    let names: Vec<String> = offered.iter().map(|o| o.pixel_format.to_string()).collect();
-    names.join(", ")
-}
-
-struct SizeList<'a>(&'a OfferedFormat);
-
-impl fmt::Display for SizeList<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (i, size) in self.0.sizes.iter().enumerate() {
-            let comma = if i == 0 { "" } else { ", " };
-            write!(f, "{comma}{}x{}", size.width, size.height)?;
-        }
-        if let Some(SizeRange { min, max, step }) = self.0.size_range {
-            write!(f, "{}x{} to {}x{}", min.0, min.1, max.0, max.1)?;
-            write!(f, " in steps of {}x{}", step.0, step.1)?;
-        }
-        Ok(())
-    }
-}
-
-struct RateList<'a>(&'a [f64]);
-
-impl fmt::Display for RateList<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (i, rate) in self.0.iter().enumerate() {
-            let comma = if i == 0 { "" } else { ", " };
-            write!(f, "{comma}{}", (rate * 1000.0).round() / 1000.0)?;
-        }
-        Ok(())
-    }
+    let codes: Vec<FourCc> = offered.iter().map(|o| o.pixel_format).collect();
+    node_kind::name_list(&codes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::v4l2::offer::{FrameSize, SizeRange};
 
     fn size(width: u32, height: u32, fps: &[f64]) -> FrameSize {
         FrameSize {

@@ -5,7 +5,8 @@
 //! not UTF-8).
 
 use super::fourcc::FourCc;
-use super::negotiation::{FrameSize, Granted, OfferedFormat, SizeRange};
+use super::negotiation::Granted;
+use super::offer::{FrameSize, OfferedFormat, SizeRange};
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::fd::AsRawFd;

@@ -48,10 +48,7 @@ pub fn classify(flags: u32, formats: &[FourCc]) -> (NodeKind, String) {
             "the driver cannot stream mapped buffers".into(),
         );
     }
-    let names = || {
-        let names: Vec<String> = formats.iter().map(FourCc::to_string).collect();
-        names.join(", ")
-    };
+    let names = || name_list(formats);
     if formats.is_empty() {
         let why = "no image format the kernel knows (a camera that names its depth D16 alone \
                    ends so)";
@@ -77,6 +74,16 @@ pub fn classify(flags: u32, formats: &[FourCc]) -> (NodeKind, String) {
         }
     } else {
         (NodeKind::Color, format!("colour camera ({})", names()))
+    }
+}
+
+/// Formats by name, the first few of a long list.
+pub(super) fn name_list(formats: &[FourCc]) -> String {
+    const SHOWN: usize = 8;
+    let names: Vec<String> = formats.iter().take(SHOWN).map(FourCc::to_string).collect();
+    match formats.len().saturating_sub(SHOWN) {
+        0 => names.join(", "),
+        more => format!("{} and {more} more", names.join(", ")),
     }
 }
 
@@ -108,6 +115,13 @@ mod tests {
             NodeKind::Other
         );
         assert_eq!(kind(sys::V4L2_CAP_STREAMING, &[]), NodeKind::Other);
+    }
+
+    #[test]
+    fn a_long_list_of_formats_is_cut() {
+        let formats = [FourCc(*b"YUYV"); 10];
+        assert!(name_list(&formats).ends_with("YUYV and 2 more"));
+        assert_eq!(name_list(&formats[..1]), "YUYV");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! From options to a running stream: find the node, agree on a format, learn the calibration.
+//! From options to a running stream: find the node, agree on a format, start.
 
 use super::depth_format::{DepthFormat, Rows};
 use super::fourcc::FourCc;
@@ -7,18 +7,16 @@ use super::node::VideoNode;
 use super::node_kind::NodeKind;
 use super::reconnect::Identity;
 use super::ring::Ring;
-use super::usb::{self, UsbDevice};
-use super::{V4l2Options, realsense, refusal};
+use super::usb;
+use super::{V4l2Options, geometry, refusal};
 use crate::capture::CaptureError;
 use crate::capture::devices::{self, DeviceReport};
-use crate::frame::{Camera, Intrinsics};
+use crate::frame::Camera;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Buffers asked of the driver: one filling, one full. More only age the frames.
 const DRIVER_BUFFERS: u32 = 2;
-/// Metres per integer when neither user nor camera says.
-const USUAL_UNIT_M: f64 = 0.001;
 /// Pixels per row and rows a frame may have at most.
 const MAX_SIDE: u32 = 16_384;
 
@@ -80,7 +78,7 @@ pub(super) fn open(options: &V4l2Options) -> Result<Opened, CaptureError> {
     check_kind(&report, wish.format)?;
     let plan = negotiation::plan(&wish, &report.formats).map_err(|m| disagreement(&path, &m))?;
     check_side(&path, &plan)?;
-    let mut camera = camera(options, &report, usb.as_ref(), &node, &plan)?;
+    let mut camera = geometry::camera(options, &report, usb.as_ref(), &node, &plan)?;
     let (ring, rows, fps) = start(node, &plan, &wish).map_err(|r| r.at(&path))?;
     camera.fps = fps.or(plan.fps);
     Ok(Opened {
@@ -185,49 +183,47 @@ fn find_node(device: &str) -> Result<PathBuf, CaptureError> {
             _ => format!("{}: {}", path.display(), report.reason),
         });
     }
+    let none = match others.len() {
+        0 => "there is no video device".to_string(),
+        _ => format!("no depth camera ({})", others.join("; ")),
+    };
+    let (note, remedy) = d16_note().unzip();
     Err(CaptureError::Device {
         device: "auto".into(),
-        what: match others.len() {
-            0 => format!("there is no video device{}", d16_note()),
-            _ => format!("no depth camera ({}){}", others.join("; "), d16_note()),
-        },
-        remedy: "plug a depth camera in, or name its node with --device".into(),
+        what: none + &note.unwrap_or_default(),
+        remedy: remedy
+            .unwrap_or("plug a depth camera in, or name its node with --device")
+            .into(),
     })
 }
 
+/// A node that does not exist, perhaps because the kernel does not know the camera's format.
 fn missing_node(path: &Path, error: &io::Error) -> CaptureError {
-    match (refusal::device_error(path, "open it", error), d16_note()) {
-        (
-            CaptureError::Device {
-                device,
-                what,
-                remedy,
-            },
-            note,
-        ) => CaptureError::Device {
-            device,
-            what: what + &note,
-            remedy,
+    match d16_note() {
+        None => refusal::device_error(path, "open it", error),
+        Some((note, remedy)) => CaptureError::Device {
+            device: path.display().to_string(),
+            what: format!("could not open it: there is no such device{note}"),
+            remedy: remedy.into(),
         },
-        (other, _) => other,
     }
 }
 
-/// Says so when a camera is plugged in whose depth the kernel does not know.
-fn d16_note() -> String {
+/// Says so when a camera is plugged in whose depth the kernel does not know, and what to do.
+fn d16_note() -> Option<(String, &'static str)> {
     let cameras = usb::d16_cameras();
     let names: Vec<String> = cameras
         .iter()
         .map(|c| format!("`{}` ({})", c.product, c.id))
         .collect();
-    match names.len() {
-        0 => String::new(),
-        _ => format!(
+    (!names.is_empty()).then(|| {
+        let note = format!(
             " (the USB camera {} is plugged in, but names its depth D16, which this kernel does \
-             not know: use the camera's own software, or a newer kernel)",
+             not know)",
             names.join(", ")
-        ),
-    }
+        );
+        (note, "use the camera's own software, or a newer kernel")
+    })
 }
 
 /// Refuses a node that is not depth, and names its camera's depth node where there is one.
@@ -248,7 +244,7 @@ fn check_kind(report: &DeviceReport, asked: Option<DepthFormat>) -> Result<(), C
         other.depth && other.bus == report.bus && other.path != report.path
     });
     let note = match report.formats.is_empty() && report.kind == NodeKind::Other {
-        true => d16_note(),
+        true => d16_note().map(|(note, _)| note).unwrap_or_default(),
         false => String::new(),
     };
     Err(CaptureError::Device {
@@ -273,99 +269,10 @@ fn check_side(path: &Path, plan: &Plan) -> Result<(), CaptureError> {
     Err(disagreement(path, &mismatch))
 }
 
-/// The camera's geometry: what the user gave, else what the camera says of itself.
-fn camera(
-    options: &V4l2Options,
-    report: &DeviceReport,
-    usb: Option<&UsbDevice>,
-    node: &VideoNode,
-    plan: &Plan,
-) -> Result<Camera, CaptureError> {
-    let size = (plan.width, plan.height);
-    let wanted = options.intrinsics.is_none() || options.depth_unit_m.is_none();
-    let own = match usb {
-        Some(usb) if wanted => realsense::read_calibration(node, usb, size).unwrap_or_default(),
-        _ => realsense::Calibration::default(),
-    };
-    let intrinsics = match options.intrinsics {
-        Some(given) => fit_to_size(given, options.intrinsics_size.unwrap_or(size), size)?,
-        None => own.intrinsics.ok_or_else(|| {
-            CaptureError::Usage(format!(
-                "{}: the camera `{}` does not say its intrinsics at {}x{}; give them with \
-                 --intrinsics FILE (ROS, OpenCV, Open3D or RealSense) or --intrinsics fx,fy,cx,cy",
-                report.path.display(),
-                report.card,
-                size.0,
-                size.1
-            ))
-        })?,
-    };
-    Ok(Camera {
-        width: plan.width,
-        height: plan.height,
-        intrinsics,
-        depth_unit_m: depth_unit_m(options, own.depth_unit_m, report, plan.format)?,
-        invalid: options.invalid.clone(),
-        depth_min_m: options.depth_min_m,
-        depth_max_m: options.depth_max_m,
-        fps: plan.fps,
-        name: report.card.clone(),
-    })
-}
-
-fn depth_unit_m(
-    options: &V4l2Options,
-    own: Option<f64>,
-    report: &DeviceReport,
-    format: DepthFormat,
-) -> Result<f64, CaptureError> {
-    let device = report.path.display();
-    let (unit, source) = match (options.depth_unit_m, own) {
-        (Some(given), _) => (given, "as given"),
-        (None, Some(own)) => (own, "as the camera says"),
-        // Packed 10-bit is raw disparity on the Kinect: no unit makes metres of it.
-        (None, None) if format == DepthFormat::Y10Packed => {
-            return Err(CaptureError::Usage(format!(
-                "{device}: {} is raw disparity on most cameras (Kinect), not depth; if this one \
-                 sends depth, give its unit with --depth-unit",
-                format.fourcc()
-            )));
-        }
-        (None, None) => (USUAL_UNIT_M, "assumed, --depth-unit changes it"),
-    };
-    tracing::info!("{device}: depth unit {unit} m ({source})");
-    Ok(unit)
-}
-
-/// Intrinsics given at one size, at another of the same shape.
-fn fit_to_size(
-    given: Intrinsics,
-    from: (u32, u32),
-    to: (u32, u32),
-) -> Result<Intrinsics, CaptureError> {
-    if from == to {
-        return Ok(given);
-    }
-    let shape = |(w, h): (u32, u32)| f64::from(w) / f64::from(h.max(1));
-    // Another shape is a crop, which scaling cannot tell.
-    if from.0 == 0 || from.1 == 0 || (shape(from) / shape(to) - 1.0).abs() > 0.01 {
-        return Err(CaptureError::Usage(format!(
-            "the intrinsics are for {}x{}, the camera sends {}x{}, another shape; give those of \
-             that size, or ask for the other with --size",
-            from.0, from.1, to.0, to.1
-        )));
-    }
-    Ok(given.rescaled(from, to))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::v4l2::negotiation::OfferedFormat;
-
-    fn message(error: &CaptureError) -> String {
-        error.to_string()
-    }
+    use crate::capture::v4l2::offer::OfferedFormat;
 
     fn report(kind: NodeKind, codes: &[&[u8; 4]]) -> DeviceReport {
         let format = |code: &&[u8; 4]| OfferedFormat {
@@ -405,46 +312,12 @@ mod tests {
             (NodeKind::Other, Some(DepthFormat::Z16)),
         ] {
             let error = check(kind, &[b"YUYV"], asked).unwrap_err();
-            let text = message(&error);
+            let text = error.to_string();
             assert!(
                 text.starts_with("/dev/video3: not a depth camera: the reason"),
                 "{text}"
             );
         }
-    }
-
-    #[test]
-    fn intrinsics_follow_the_size_and_not_another_shape() {
-        let given = Intrinsics {
-            fx: 600.0,
-            fy: 600.0,
-            cx: 319.5,
-            cy: 239.5,
-        };
-        assert_eq!(fit_to_size(given, (640, 480), (640, 480)).unwrap(), given);
-        let half = fit_to_size(given, (640, 480), (320, 240)).unwrap();
-        assert_eq!((half.fx, half.cx), (300.0, 159.5));
-        for other in [(848, 480), (640, 0), (0, 480)] {
-            let error = fit_to_size(given, other, (640, 480)).unwrap_err();
-            assert!(message(&error).contains("640x480"), "{other:?}");
-        }
-    }
-
-    #[test]
-    fn the_unit_is_the_users_then_the_cameras_then_a_millimetre() {
-        let unit = |given, own, format| {
-            let options = V4l2Options {
-                depth_unit_m: given,
-                ..V4l2Options::default()
-            };
-            depth_unit_m(&options, own, &report(NodeKind::Depth, &[]), format)
-        };
-        assert_eq!(unit(Some(0.5), Some(0.1), DepthFormat::Z16).unwrap(), 0.5);
-        assert_eq!(unit(None, Some(0.1), DepthFormat::Z16).unwrap(), 0.1);
-        assert_eq!(unit(None, None, DepthFormat::Y12).unwrap(), 0.001);
-        let error = unit(None, None, DepthFormat::Y10Packed).unwrap_err();
-        assert!(message(&error).contains("--depth-unit"));
-        assert_eq!(unit(Some(0.5), None, DepthFormat::Y10Packed).unwrap(), 0.5);
     }
 
     #[test]

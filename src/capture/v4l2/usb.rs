@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A UVC extension unit: where vendor commands go.
+/// GUID of the UVC extension unit that takes RealSense commands.
 pub const REALSENSE_UNIT: [u8; 16] = [
     0xcb, 0x6c, 0x60, 0xc9, 0x4c, 0x59, 0x25, 0x4d, 0xaf, 0x47, 0xcc, 0xc4, 0x96, 0x43, 0x59, 0x95,
 ];
