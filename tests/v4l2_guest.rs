@@ -127,7 +127,12 @@ fn recordings_are_what_the_camera_sent() {
     assert_increasing("unplugged", &numbers);
     assert!((1..=15).contains(&numbers.len()), "{numbers:?}");
 
-    // The camera came back as a new one: its numbers begin again, once.
+    // The camera came back as a new one, under another number: its frames begin again, once.
+    let nodes = fs::read_to_string(folder.join("replugged.nodes")).unwrap();
+    assert!(
+        !nodes.split_whitespace().any(|n| n == "/dev/video0"),
+        "{nodes}"
+    );
     let replugged = scenario("replugged");
     replugged.expect(0, "");
     let numbers = replugged.frames();

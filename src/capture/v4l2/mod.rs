@@ -8,6 +8,7 @@ pub mod clock;
 pub mod depth_format;
 pub mod fourcc;
 mod geometry;
+pub mod grant;
 pub mod loss;
 pub mod negotiation;
 pub mod node;
@@ -180,6 +181,12 @@ impl V4l2Source {
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The colour camera beside this one: its losses, and why it ended if it did.
+    #[must_use]
+    pub fn color(&self) -> Option<&ColorSource> {
+        self.color.as_ref()
     }
 
     fn read(&mut self, frame: &mut DepthFrame, timeout: Duration) -> Result<Step, CaptureError> {

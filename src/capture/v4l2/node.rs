@@ -5,7 +5,7 @@
 //! not UTF-8).
 
 use super::fourcc::FourCc;
-use super::negotiation::Granted;
+use super::grant::Granted;
 use super::offer::{FrameSize, OfferedFormat, SizeRange};
 use std::fs::{File, OpenOptions};
 use std::io;

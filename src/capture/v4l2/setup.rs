@@ -8,7 +8,7 @@ use super::node_kind::NodeKind;
 use super::reconnect::Identity;
 use super::ring::Ring;
 use super::usb;
-use super::{V4l2Options, geometry, refusal};
+use super::{V4l2Options, geometry, grant, refusal};
 use crate::capture::CaptureError;
 use crate::capture::devices::{self, DeviceReport};
 use crate::frame::Camera;
@@ -117,7 +117,7 @@ pub(super) fn start(
             Err(error) => return Err(refused("set the frame rate")(error)),
         };
     }
-    let stride = negotiation::check_granted(plan, wish, &granted).map_err(Refused::Mismatch)?;
+    let stride = grant::check_granted(plan, wish, &granted).map_err(Refused::Mismatch)?;
     let rows = Rows {
         width: plan.width as usize,
         height: plan.height as usize,
