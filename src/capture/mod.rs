@@ -5,6 +5,11 @@
 
 pub mod sequences;
 pub mod synthetic;
+pub mod color;
+pub mod color_image;
+mod color_open;
+pub mod devices;
+pub mod v4l2;
 
 use crate::frame::{Camera, ColorFrame, DepthFrame};
 use std::path::PathBuf;
