@@ -3,8 +3,11 @@
 pub mod cloud;
 pub mod contact_distance;
 mod cover;
+mod merge;
 pub mod point_moments;
+pub mod progressive;
 pub mod random;
 mod remaining;
+pub mod scheme;
 mod search;
 pub mod sphere;
