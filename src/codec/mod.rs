@@ -1,5 +1,7 @@
 //! The frame payload: a SAINT frame as bytes (`FORMAT.md`).
 
+pub mod polar;
+
 use crate::frame::FrameTime;
 
 /// One encoded frame, as it is stored or sent.
