@@ -121,7 +121,7 @@ fn literal_collisions_are_counted_as_a_brute_force_counts_them() {
 fn literal_points_lie_within_half_a_cell() {
     let sphere = CloudSphere::from_center_radius(DVec3::new(0.1, 0.0, 1.0), 0.5).unwrap();
     let positions: Vec<DVec3> = (0..200)
-        .map(|i| f64::from(i))
+        .map(f64::from)
         .map(|t| {
             DVec3::new(0.1, 0.0, 1.0)
                 + 0.5 * DVec3::new(t.sin(), t.cos(), (0.3 * t).sin()).normalize()

@@ -170,13 +170,10 @@ fn smallest<const N: usize>(mut a: [[f64; N]; N]) -> Smallest<N> {
         row[i] = 1.0;
     }
     for _ in 0..20 {
-        let mut off = 0.0;
-        let mut diagonal = 0.0;
-        for i in 0..N {
-            diagonal += a[i][i] * a[i][i];
-            for j in 0..i {
-                off += a[i][j] * a[i][j];
-            }
+        let (mut off, mut diagonal) = (0.0, 0.0);
+        for (i, row) in a.iter().enumerate() {
+            diagonal += row[i] * row[i];
+            off += row[..i].iter().map(|v| v * v).sum::<f64>();
         }
         if off <= 1e-32 * diagonal {
             break;
@@ -193,8 +190,9 @@ fn smallest<const N: usize>(mut a: [[f64; N]; N]) -> Smallest<N> {
                 for row in &mut a {
                     (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
                 }
-                for i in 0..N {
-                    (a[p][i], a[q][i]) = (c * a[p][i] - s * a[q][i], s * a[p][i] + c * a[q][i]);
+                let (top, bottom) = a.split_at_mut(q);
+                for (ap, aq) in top[p].iter_mut().zip(&mut bottom[0]) {
+                    (*ap, *aq) = (c * *ap - s * *aq, s * *ap + c * *aq);
                 }
                 for row in &mut v {
                     (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);

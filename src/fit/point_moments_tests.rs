@@ -121,8 +121,9 @@ fn solve(mut a: [[f64; 5]; 5], mut b: [f64; 5]) -> [f64; 5] {
         b.swap(k, pivot);
         for i in k + 1..5 {
             let f = a[i][k] / a[k][k];
-            for j in k..5 {
-                a[i][j] -= f * a[k][j];
+            let pivot_row = a[k];
+            for (v, p) in a[i].iter_mut().zip(pivot_row) {
+                *v -= f * p;
             }
             b[i] -= f * b[k];
         }
@@ -218,7 +219,7 @@ fn what_spans_no_surface_gives_none() {
     assert!(rms(&fit.sphere, &sheet) < 1e-8);
     // points on one circle lie on many spheres: the plane is the simplest
     let ring: Vec<DVec3> = (0..50)
-        .map(|i| f64::from(i))
+        .map(f64::from)
         .map(|t| at(0.1 * t.cos(), 0.1 * t.sin()))
         .collect();
     assert!(rms(&moments(&ring).fit().unwrap().sphere, &ring) < 1e-7);

@@ -169,10 +169,9 @@ fn adopt(
                 .iter()
                 .map(|&n| (patches[n as usize].sphere.distance(p), n))
                 .min_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((distance, n)) = nearest {
-                if distance <= parameters.contact_distance.at(p.z + points.origin.z) {
-                    found(i, n as usize);
-                }
+            let contact = parameters.contact_distance.at(p.z + points.origin.z);
+            if let Some((_, n)) = nearest.filter(|&(distance, _)| distance <= contact) {
+                found(i, n as usize);
             }
         }
     }

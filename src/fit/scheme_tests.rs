@@ -246,3 +246,50 @@ fn parameters_out_of_range_are_refused() {
         );
     }
 }
+
+/// A shared cloud as metres; `None`, said aloud, where the shared data is not there.
+#[allow(clippy::print_stderr, reason = "a test that skips says so")]
+fn shared_cloud(name: &str, unit_m: f64) -> Option<LocalPoints> {
+    let root = std::env::var("SAINT_SHARED")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").to_owned());
+    let path = std::path::Path::new(&root).join("data/clouds").join(name);
+    let Ok(bytes) = std::fs::read(&path) else {
+        eprintln!("skipped: {} is not there", path.display());
+        return None;
+    };
+    let end = b"end_header\n";
+    let start = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+    let number = |b: &[u8]| f64::from(f32::from_le_bytes(b.try_into().unwrap())) * unit_m;
+    let positions: Vec<DVec3> = bytes[start..]
+        .chunks_exact(12)
+        .map(|p| DVec3::new(number(&p[..4]), number(&p[4..8]), number(&p[8..])))
+        .collect();
+    Some(LocalPoints::new(&positions).unwrap())
+}
+
+#[test]
+fn scanned_objects_need_few_spheres_at_one_millimetre() {
+    for (name, unit_m, most) in [
+        ("kits_case00000.ply", 0.001, 36),
+        ("stanford_bunny.ply", 1.0, 66),
+    ] {
+        let Some(points) = shared_cloud(name, unit_m) else {
+            return;
+        };
+        let parameters = FitParameters {
+            contact_distance: 0.001.into(),
+            ..parameters(Scheme::Random)
+        };
+        let model = CloudFit::default().fit(&points, &parameters).unwrap();
+        assert!(
+            model.explained >= 0.999,
+            "{name}: {} explained",
+            model.explained
+        );
+        assert!(
+            model.spheres.len() <= most,
+            "{name}: {} spheres",
+            model.spheres.len()
+        );
+    }
+}
