@@ -66,7 +66,8 @@ impl Cover {
         for (s, (sphere, members)) in self.spheres.iter().zip(&self.members).enumerate() {
             for &i in members {
                 let i = i as usize;
-                let distance = sphere.distance(points.at(i));
+                // to first order: the points are within contact distance
+                let distance = sphere.value(points.at(i)).abs();
                 if distance < nearest[i] {
                     nearest[i] = distance;
                     assignment[points.id[i] as usize] = s as u32;

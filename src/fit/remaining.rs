@@ -23,6 +23,8 @@ pub(crate) struct Remaining {
     pub id: Vec<u32>,
     /// Curvature above which single precision no longer resolves the contact distance, 1/m.
     curvature_limit: f64,
+    /// Scratch of [`Remaining::remove`].
+    marks: Vec<u8>,
 }
 
 /// The sphere in the precision of the inner loops: F = h·|p|² + n·p + d.
@@ -154,15 +156,18 @@ impl Remaining {
     pub fn list_touching(&self, sphere: &CloudSphere, marks: &mut Vec<u8>, places: &mut Vec<u32>) {
         marks.resize(self.len(), 0);
         mark(&sphere.into(), &self.x, &self.y, &self.z, &self.tau, marks);
-        for (chunk, eight) in marks.chunks(8).enumerate() {
-            // most of a cloud does not touch a given sphere: pass over it eight at a time
-            if eight.iter().all(|&m| m == 0) {
-                continue;
+        // most of a cloud does not touch a given sphere: pass over it eight points at a time
+        let (eights, rest) = marks.as_chunks::<8>();
+        for (chunk, eight) in eights.iter().enumerate() {
+            let mut set = u64::from_le_bytes(*eight);
+            while set != 0 {
+                places.push(chunk as u32 * 8 + set.trailing_zeros() / 8);
+                set &= set - 1;
             }
-            let first = chunk as u32 * 8;
-            let touching = (first..).zip(eight).filter(|&(_, &m)| m != 0);
-            places.extend(touching.map(|(place, _)| place));
         }
+        let first = (marks.len() - rest.len()) as u32;
+        let touching = (first..).zip(rest).filter(|&(_, &m)| m != 0);
+        places.extend(touching.map(|(place, _)| place));
     }
 
     /// Moments of the points within `widen` contact distances of the sphere.
@@ -181,24 +186,25 @@ impl Remaining {
     /// Takes the points that touch the sphere out; says how many. The rest keep their order.
     pub fn remove(&mut self, sphere: &CloudSphere) -> usize {
         let before = self.len();
-        let s = Surface::from(sphere);
-        let mut kept = 0;
-        for i in 0..self.len() {
-            let (x, y, z, tau) = (self.x[i], self.y[i], self.z[i], self.tau[i]);
-            if band(&s, x, y, z, tau).abs() <= tau {
-                continue;
-            }
-            self.x[kept] = x;
-            self.y[kept] = y;
-            self.z[kept] = z;
-            self.tau[kept] = tau;
-            self.id[kept] = self.id[i];
-            kept += 1;
-        }
+        let mut marks = std::mem::take(&mut self.marks);
+        marks.resize(before, 0);
+        let (x, y, z, tau) = (&self.x, &self.y, &self.z, &self.tau);
+        mark(&sphere.into(), x, y, z, tau, &mut marks);
         for axis in [&mut self.x, &mut self.y, &mut self.z, &mut self.tau] {
-            axis.truncate(kept);
+            keep_unmarked(axis, &marks);
         }
-        self.id.truncate(kept);
-        before - kept
+        keep_unmarked(&mut self.id, &marks);
+        self.marks = marks;
+        before - self.len()
     }
+}
+
+/// Keeps the values whose mark is 0, in order. No branch on the marks: they are noise to it.
+fn keep_unmarked<T: Copy>(values: &mut Vec<T>, marks: &[u8]) {
+    let mut kept = 0;
+    for (i, &mark) in marks.iter().enumerate() {
+        values[kept] = values[i];
+        kept += usize::from(mark == 0);
+    }
+    values.truncate(kept);
 }
