@@ -23,7 +23,7 @@ const MAX_STRIDE: usize = 64;
 /// Hypotheses that reach the fine sample.
 const SHORT_LIST: usize = 12;
 /// Hypotheses that are refitted.
-const REFITTED: usize = 2;
+const REFITTED: usize = 1;
 /// Refits by moments per hypothesis, at most.
 const REFIT_ROUNDS: usize = 4;
 /// Random bends tried on the winner.
