@@ -3,3 +3,5 @@
 pub mod assign;
 pub mod contact;
 pub mod labels;
+pub mod merged;
+pub mod polar;

@@ -1,6 +1,6 @@
 //! Points gathered cell by cell: a counting sort over the cells that are in use.
 
-use super::lattice::{Lattice, cell_key, key_cell};
+use super::lattice::{Lattice, Packing, cell_key, key_cell};
 use super::points::LocalPoints;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -88,6 +88,28 @@ impl Cells {
         self.centers.is_empty()
     }
 
+    /// The cells in use around `cell` whose centres are at most the lattice's second-nearest
+    /// distance away (18 at most for hexagonal packing; cubic: the 26 that touch), ascending.
+    pub fn neighbours(&self, cell: usize, packing: Packing) -> impl Iterator<Item = usize> + '_ {
+        let at = key_cell(self.used[cell]);
+        let reach = match packing {
+            Packing::Hexagonal => 2i32,
+            Packing::Cubic => 1,
+        };
+        let steps = move || -reach..=reach;
+        steps()
+            .flat_map(move |z| steps().flat_map(move |y| steps().map(move |x| [x, y, z])))
+            .filter(move |s| {
+                let square: i32 = s.iter().map(|v| v * v).sum();
+                square > 0 && (packing == Packing::Cubic || square == 2 || square == 4)
+            })
+            .filter(move |s| s.iter().zip(at).all(|(v, a)| (a + v).abs() < 1 << 20))
+            .filter_map(move |s| {
+                let key = cell_key([at[0] + s[0], at[1] + s[1], at[2] + s[2]]);
+                self.used.binary_search(&key).ok()
+            })
+    }
+
     /// Numbers of the points in `cell`, ascending. `cell` must be below [`Cells::len`].
     #[must_use]
     pub fn points(&self, cell: usize) -> &[u32] {
@@ -113,7 +135,6 @@ impl CellOfKey {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::partition::lattice::Packing;
     use proptest::prelude::*;
 
     fn cloud(seeds: &[(f64, f64, f64)]) -> LocalPoints {
@@ -168,6 +189,29 @@ mod tests {
             (&fresh.order, &fresh.starts, &fresh.centers),
             (&reused.order, &reused.starts, &reused.centers)
         );
+    }
+
+    #[test]
+    fn neighbours_are_those_near_by() {
+        let seeds: Vec<_> = (0..512)
+            .map(|i| (f64::from(i % 8), f64::from(i / 8 % 8), f64::from(i / 64)))
+            .map(|(x, y, z)| (x * 0.4, y * 0.4, z * 0.4))
+            .collect();
+        for (packing, factor) in [
+            (Packing::Hexagonal, 2f64.sqrt()),
+            (Packing::Cubic, 3f64.sqrt()),
+        ] {
+            let lattice = Lattice::new(packing, 0.7);
+            let cells = Cells::new(&cloud(&seeds), &lattice);
+            for a in 0..cells.len() {
+                let near: Vec<usize> = (0..cells.len())
+                    .filter(|&b| {
+                        b != a && cells.centers[a].distance(cells.centers[b]) < 0.7 * factor + 1e-9
+                    })
+                    .collect();
+                assert_eq!(cells.neighbours(a, packing).collect::<Vec<_>>(), near);
+            }
+        }
     }
 
     #[test]

@@ -86,6 +86,21 @@ impl LocalPoints {
         Ok(())
     }
 
+    /// Becomes the points `ids` of `points`, about the same origin.
+    pub(crate) fn take(&mut self, points: &Self, ids: &[u32]) {
+        self.origin = points.origin;
+        self.rejected = 0;
+        self.source.clear();
+        for (mine, theirs) in [
+            (&mut self.x, &points.x),
+            (&mut self.y, &points.y),
+            (&mut self.z, &points.z),
+        ] {
+            mine.clear();
+            mine.extend(ids.iter().map(|&i| theirs[i as usize]));
+        }
+    }
+
     /// Points kept.
     #[must_use]
     pub fn len(&self) -> usize {

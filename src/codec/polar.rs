@@ -1,0 +1,366 @@
+//! Payload of a polar SAINT model: spheres and the contact map that keeps every claim.
+#![doc = include_str!("POLAR.md")]
+
+use crate::contact_map::merged::ClaimMap;
+use crate::contact_map::polar::{MAX_STEPS, Patch, PatchCell};
+use glam::{DVec3, Vec3};
+
+const MAGIC: [u8; 4] = *b"SPOL";
+const VERSION: u8 = 1;
+/// Bytes of one sphere.
+const SPHERE_BYTES: usize = 28;
+/// Bytes of the check at the end.
+const CHECK_BYTES: usize = 4;
+
+/// Bytes that are no polar payload, or a map that has no payload.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PolarCodecError {
+    /// The payload ends too early.
+    #[error("the polar payload ends at byte {length} within {what}; it was cut, fetch it again")]
+    Truncated {
+        /// What was being read.
+        what: &'static str,
+        /// Bytes there are.
+        length: usize,
+    },
+    /// Not this format.
+    #[error(
+        "the payload starts with {found:02x?}, a polar payload with {MAGIC:02x?}; it is of another kind"
+    )]
+    Magic {
+        /// The bytes found.
+        found: [u8; 4],
+    },
+    /// A version or flag from the future.
+    #[error(
+        "the polar payload has version {version} and flags {flags}; this reader knows version {VERSION} and flags 0, update it"
+    )]
+    Unsupported {
+        /// Version found.
+        version: u8,
+        /// Flags found.
+        flags: u8,
+    },
+    /// The check does not match.
+    #[error(
+        "the polar payload's check is {found:08x} and its bytes give {computed:08x}; it was damaged, fetch it again"
+    )]
+    Check {
+        /// Check stored.
+        found: u32,
+        /// Check computed.
+        computed: u32,
+    },
+    /// A count that the bytes left cannot hold.
+    #[error(
+        "the polar payload announces {count} {what} and has {left} bytes left for them; it was damaged"
+    )]
+    Count {
+        /// What is counted.
+        what: &'static str,
+        /// The count.
+        count: usize,
+        /// Bytes left.
+        left: usize,
+    },
+    /// A value the format forbids.
+    #[error(
+        "the polar payload holds a forbidden {what} at byte {at}; it was damaged or badly written"
+    )]
+    Value {
+        /// The field.
+        what: &'static str,
+        /// Byte after the field.
+        at: usize,
+    },
+    /// Bytes that belong to nothing.
+    #[error("the polar payload has {extra} bytes after its last claim; it was damaged")]
+    Extra {
+        /// How many.
+        extra: usize,
+    },
+    /// A map that breaks its own rules.
+    #[error("the contact map cannot be written: {0}")]
+    Map(&'static str),
+}
+
+/// Appends the payload of `map` to `bytes`.
+///
+/// # Errors
+/// A map whose parts do not fit together, that holds non-finite numbers or cells out of order or
+/// beyond ±2²⁴ steps. `bytes` is then as it was.
+pub fn encode(map: &ClaimMap, bytes: &mut Vec<u8>) -> Result<(), PolarCodecError> {
+    check_map(map)?;
+    let start = bytes.len();
+    bytes.reserve(64 + map.patches.len() * (SPHERE_BYTES + 2) + map.cells.len() * 2);
+    bytes.extend_from_slice(&MAGIC);
+    bytes.extend_from_slice(&[VERSION, 0]);
+    for v in map.origin.to_array() {
+        bytes.extend_from_slice(&v.to_le_bytes());
+    }
+    bytes.extend_from_slice(&map.step_m.to_le_bytes());
+    put_varint(bytes, map.patches.len() as u32);
+    for patch in &map.patches {
+        for v in floats(patch) {
+            bytes.extend_from_slice(&v.to_le_bytes());
+        }
+    }
+    for s in 0..map.patches.len() {
+        put_claims(bytes, map.claims(s));
+    }
+    let check = crc32fast::hash(&bytes[start..]);
+    bytes.extend_from_slice(&check.to_le_bytes());
+    Ok(())
+}
+
+/// Reads a payload. Safe on any bytes: allocates no more than a small multiple of their length.
+///
+/// # Errors
+/// Any bytes that [`encode`] would not have written.
+pub fn decode(bytes: &[u8]) -> Result<ClaimMap, PolarCodecError> {
+    let mut reader = Reader { bytes, at: 0 };
+    let magic = reader.array::<4>("magic")?;
+    if magic != MAGIC {
+        return Err(PolarCodecError::Magic { found: magic });
+    }
+    let [version, flags] = reader.array("version")?;
+    if version != VERSION || flags != 0 {
+        return Err(PolarCodecError::Unsupported { version, flags });
+    }
+    // the check first: nothing below it need guess whether bytes were damaged
+    let body = bytes
+        .len()
+        .checked_sub(CHECK_BYTES)
+        .filter(|&body| body >= reader.at)
+        .ok_or(PolarCodecError::Truncated {
+            what: "check",
+            length: bytes.len(),
+        })?;
+    let mut tail = Reader { bytes, at: body };
+    let found = u32::from_le_bytes(tail.array("check")?);
+    let computed = crc32fast::hash(&bytes[..body]);
+    if found != computed {
+        return Err(PolarCodecError::Check { found, computed });
+    }
+    reader.bytes = &bytes[..body];
+    read_body(&mut reader)
+}
+
+fn read_body(reader: &mut Reader<'_>) -> Result<ClaimMap, PolarCodecError> {
+    let mut origin = [0.0; 3];
+    for v in &mut origin {
+        *v = f64::from_le_bytes(reader.array("origin")?);
+    }
+    let origin = DVec3::from_array(origin);
+    if !origin.is_finite() {
+        return Err(reader.value("origin"));
+    }
+    let step_m = f32::from_le_bytes(reader.array("step")?);
+    if !usable_step(step_m) {
+        return Err(reader.value("step"));
+    }
+    let count = reader.varint("number of spheres")? as usize;
+    // 28 bytes and at least the count of claims each
+    if count > reader.left() / (SPHERE_BYTES + 1) {
+        return Err(reader.count("spheres", count));
+    }
+    let mut map = ClaimMap {
+        origin,
+        step_m,
+        patches: Vec::with_capacity(count),
+        starts: Vec::with_capacity(count + 1),
+        cells: Vec::with_capacity(reader.left() - count * SPHERE_BYTES),
+    };
+    for _ in 0..count {
+        let mut v = [0f32; 7];
+        for value in &mut v {
+            *value = f32::from_le_bytes(reader.array("sphere")?);
+        }
+        let patch = Patch {
+            anchor: Vec3::new(v[0], v[1], v[2]),
+            normal: Vec3::new(v[3], v[4], v[5]),
+            curvature: v[6],
+        };
+        if !usable_patch(&patch) {
+            return Err(reader.value("sphere"));
+        }
+        map.patches.push(patch);
+    }
+    map.starts.push(0);
+    for _ in 0..count {
+        read_claims(reader, &mut map.cells)?;
+        // a claim takes a byte or more, so a payload within u32 has no more claims than that
+        let end = u32::try_from(map.cells.len()).map_err(|_| reader.value("number of claims"))?;
+        map.starts.push(end);
+    }
+    match reader.left() {
+        0 => Ok(map),
+        extra => Err(PolarCodecError::Extra { extra }),
+    }
+}
+
+fn read_claims(reader: &mut Reader<'_>, cells: &mut Vec<PatchCell>) -> Result<(), PolarCodecError> {
+    let count = reader.varint("number of claims")? as usize;
+    if count > reader.left() {
+        return Err(reader.count("claims", count));
+    }
+    let (mut row, mut row_start, mut column) = (0i64, 0i64, 0i64);
+    for n in 0..count {
+        let token = reader.varint("claim")?;
+        let up = i64::from(token >> 1);
+        if token & 1 == 1 {
+            row = if n == 0 {
+                unzigzag(token >> 1)
+            } else {
+                row + up + 1
+            };
+            row_start += unzigzag(reader.varint("column")?);
+            column = row_start;
+        } else if n == 0 {
+            return Err(reader.value("first claim"));
+        } else {
+            column += up + 1;
+        }
+        let limit = i64::from(MAX_STEPS);
+        if row.abs() > limit || column.abs() > limit {
+            return Err(reader.value("cell"));
+        }
+        cells.push(PatchCell {
+            row: row as i32,
+            column: column as i32,
+        });
+    }
+    Ok(())
+}
+
+fn put_claims(bytes: &mut Vec<u8>, cells: &[PatchCell]) {
+    put_varint(bytes, cells.len() as u32);
+    let mut last: Option<PatchCell> = None;
+    let mut row_start = 0;
+    for &cell in cells {
+        match last {
+            Some(l) if l.row == cell.row => {
+                put_varint(bytes, ((cell.column - l.column - 1) as u32) << 1);
+            }
+            _ => {
+                let up = last.map_or(zigzag(cell.row), |l| (cell.row - l.row - 1) as u32);
+                put_varint(bytes, up << 1 | 1);
+                put_varint(bytes, zigzag(cell.column - row_start));
+                row_start = cell.column;
+            }
+        }
+        last = Some(cell);
+    }
+}
+
+/// Everything [`encode`] relies on.
+fn check_map(map: &ClaimMap) -> Result<(), PolarCodecError> {
+    let refuse = |why| Err(PolarCodecError::Map(why));
+    if !map.origin.is_finite() || !usable_step(map.step_m) {
+        return refuse("the origin must be finite and the step finite and above 0");
+    }
+    let whole = map.starts.first() == Some(&0)
+        && map.starts.windows(2).all(|w| w[0] <= w[1])
+        && map.starts.last().map(|&e| e as usize) == Some(map.cells.len());
+    if map.starts.len() != map.patches.len() + 1 || !whole {
+        return refuse("the starts must ascend from 0 to the number of claims, one per sphere");
+    }
+    if !map.patches.iter().all(usable_patch) {
+        return refuse("a sphere has a number that is not finite or a normal that is not a unit");
+    }
+    for s in 0..map.patches.len() {
+        let claims = map.claims(s);
+        let inside = |v: i32| (-MAX_STEPS..=MAX_STEPS).contains(&v);
+        if !claims.iter().all(|c| inside(c.row) && inside(c.column)) {
+            return refuse("a cell lies beyond 2^24 steps");
+        }
+        if !claims.windows(2).all(|w| w[0] < w[1]) {
+            return refuse("the cells of a sphere must ascend by row, then column");
+        }
+    }
+    Ok(())
+}
+
+fn usable_step(step_m: f32) -> bool {
+    step_m.is_finite() && step_m > 0.0
+}
+
+fn usable_patch(patch: &Patch) -> bool {
+    floats(patch).iter().all(|v| v.is_finite()) && (patch.normal.length() - 1.0).abs() < 1e-3
+}
+
+fn floats(patch: &Patch) -> [f32; 7] {
+    let (a, n) = (patch.anchor, patch.normal);
+    [a.x, a.y, a.z, n.x, n.y, n.z, patch.curvature]
+}
+
+fn zigzag(v: i32) -> u32 {
+    (v << 1 ^ v >> 31) as u32
+}
+
+fn unzigzag(v: u32) -> i64 {
+    i64::from(v >> 1) ^ -i64::from(v & 1)
+}
+
+fn put_varint(bytes: &mut Vec<u8>, mut v: u32) {
+    while v >= 0x80 {
+        bytes.push(v as u8 | 0x80);
+        v >>= 7;
+    }
+    bytes.push(v as u8);
+}
+
+/// A place in the bytes; every read checks what is left.
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn left(&self) -> usize {
+        self.bytes.len() - self.at
+    }
+
+    fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], PolarCodecError> {
+        let taken = self.bytes[self.at..].first_chunk::<N>().copied();
+        let taken = taken.ok_or(PolarCodecError::Truncated {
+            what,
+            length: self.bytes.len(),
+        })?;
+        self.at += N;
+        Ok(taken)
+    }
+
+    fn varint(&mut self, what: &'static str) -> Result<u32, PolarCodecError> {
+        let mut value = 0u64;
+        for shift in (0..35).step_by(7) {
+            let [byte] = self.array(what)?;
+            value |= u64::from(byte & 0x7f) << shift;
+            if byte & 0x80 == 0 {
+                // one way to write each number: no superfluous zero byte
+                let shortest = byte != 0 || shift == 0;
+                return u32::try_from(value)
+                    .ok()
+                    .filter(|_| shortest)
+                    .ok_or(self.value(what));
+            }
+        }
+        Err(self.value(what))
+    }
+
+    fn value(&self, what: &'static str) -> PolarCodecError {
+        PolarCodecError::Value { what, at: self.at }
+    }
+
+    fn count(&self, what: &'static str, count: usize) -> PolarCodecError {
+        PolarCodecError::Count {
+            what,
+            count,
+            left: self.left(),
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "polar_tests.rs"]
+mod tests;
