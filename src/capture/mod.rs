@@ -3,12 +3,12 @@
 //! A source owns its device or folder, fills the buffer it is handed (buffers go round; no
 //! allocation per frame) and reports every loss it can see.
 
-pub mod sequences;
-pub mod synthetic;
 pub mod color;
 pub mod color_image;
 mod color_open;
 pub mod devices;
+pub mod sequences;
+pub mod synthetic;
 pub mod v4l2;
 
 use crate::frame::{Camera, ColorFrame, DepthFrame};

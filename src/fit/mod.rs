@@ -1,14 +1,13 @@
 //! Spheres from points (paper 3.1, 3.2).
 
 pub mod agglomerate;
+pub mod cloud;
 mod cold;
 pub mod contact_distance;
-pub mod live;
-pub mod moments;
-pub mod cloud;
-pub mod contact_distance;
 mod cover;
+pub mod live;
 mod merge;
+pub mod moments;
 pub mod point_moments;
 pub mod progressive;
 pub mod random;
