@@ -1,3 +1,5 @@
 //! The contact map: which sphere each grid cell touches (paper 3.1, 3.2).
 
+pub mod assign;
+pub mod contact;
 pub mod labels;

@@ -1,0 +1,165 @@
+//! Who touches what: each block's pixels are given to the fewest spheres that explain them.
+//!
+//! A label change costs bits and noise invites it, so a block takes one sphere where one explains
+//! all but a few pixels, a second or third only where it pays (`bits` below), and inside a block a
+//! pixel keeps the label of the pixel before it while that one still touches (hysteresis in space).
+
+use super::contact::{Reach, contacts};
+use super::labels::NO_SPHERE;
+use crate::deproject::Rays;
+use crate::fit::sphere::Sphere;
+
+/// Most spheres one block is divided among.
+pub const PALETTE: usize = 4;
+/// Most candidates tried for one block.
+pub const CANDIDATES: usize = 10;
+
+/// Bits a pixel costs that no sphere of its block explains.
+const MISS_BITS: u32 = 9;
+/// Bits one more sphere costs in a block: its number and the boundary.
+const SPLIT_BITS: [u32; PALETTE] = [0, 26, 24, 24];
+
+/// The spheres of one block, most pixels first, [`NO_SPHERE`] behind the last.
+pub type Palette = [u16; PALETTE];
+
+/// No sphere at all.
+pub const EMPTY: Palette = [NO_SPHERE; PALETTE];
+
+/// Candidate spheres of one block, each once, in order of preference.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Candidates {
+    ids: [u16; CANDIDATES],
+    len: usize,
+}
+
+impl Candidates {
+    /// Adds a sphere unless it is there already, is none, or the list is full.
+    #[inline]
+    pub fn add(&mut self, id: u16) {
+        if id < NO_SPHERE && self.len < CANDIDATES && !self.ids[..self.len].contains(&id) {
+            self.ids[self.len] = id;
+            self.len += 1;
+        }
+    }
+
+    /// The list.
+    #[must_use]
+    pub fn ids(&self) -> &[u16] {
+        &self.ids[..self.len]
+    }
+}
+
+/// What became of one block.
+#[derive(Clone, Copy, Debug)]
+pub struct BlockContacts {
+    /// Spheres that have pixels here.
+    pub palette: Palette,
+    /// Pixels of each palette entry (bit `8·row + column`), disjoint.
+    pub pixels: [u64; PALETTE],
+    /// Measured pixels that none of them touches.
+    pub missing: u64,
+}
+
+impl Default for BlockContacts {
+    fn default() -> Self {
+        Self {
+            palette: EMPTY,
+            pixels: [0; PALETTE],
+            missing: 0,
+        }
+    }
+}
+
+/// Divides the measured pixels (`valid`) of the block at `at` among the candidates.
+#[inline(always)]
+pub fn assign(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    valid: u64,
+    candidates: &Candidates,
+    spheres: &[Option<Sphere>],
+    reach: &Reach,
+) -> BlockContacts {
+    let mut out = BlockContacts {
+        missing: valid,
+        ..Default::default()
+    };
+    if valid == 0 {
+        return out;
+    }
+    let mut touch = [0u64; CANDIDATES];
+    let measured = valid.count_ones();
+    for (k, &id) in candidates.ids().iter().enumerate() {
+        let Some(Some(sphere)) = spheres.get(usize::from(id)) else {
+            continue;
+        };
+        touch[k] = contacts(plane, rays, at, sphere, reach) & valid;
+        // the first that explains (nearly) all is taken: the rest is not even tried
+        if (valid & !touch[k]).count_ones() * MISS_BITS <= 18 && measured > 8 {
+            out.palette[0] = id;
+            out.pixels[0] = touch[k];
+            out.missing = valid & !touch[k];
+            return out;
+        }
+    }
+    // greedy cover
+    let mut chosen = [0usize; PALETTE];
+    let mut n = 0;
+    let mut covered = 0u64;
+    while n < PALETTE {
+        let mut best = (0u32, 0usize);
+        for (k, &pixels) in touch.iter().enumerate().take(candidates.len) {
+            let gain = (pixels & !covered).count_ones() * MISS_BITS;
+            if gain > best.0 {
+                best = (gain, k);
+            }
+        }
+        if best.0 <= SPLIT_BITS[n] {
+            break;
+        }
+        chosen[n] = best.1;
+        covered |= touch[best.1];
+        n += 1;
+    }
+    out.missing = valid & !covered;
+    let mut left = covered;
+    let mut current = 0usize;
+    // scan in the order of coding, stay with the current sphere while it touches
+    while left != 0 {
+        let first = left.trailing_zeros();
+        let stays = chosen[..n].iter().enumerate().max_by_key(|&(c, &k)| {
+            let run = (!(touch[k] >> first) | !(left >> first))
+                .trailing_zeros()
+                .min(8 - first % 8);
+            // the run to the end of the row, then whoever was on, then whoever has more
+            (run, u32::from(c == current), touch[k].count_ones())
+        });
+        let Some((c, &k)) = stays else { break };
+        current = c;
+        let run = (!(touch[k] >> first) | !(left >> first))
+            .trailing_zeros()
+            .clamp(1, 8 - first % 8);
+        let taken = (((1u128 << run) - 1) as u64) << first;
+        out.pixels[c] |= taken & left;
+        left &= !taken;
+    }
+    for c in 0..n {
+        out.palette[c] = candidates.ids()[chosen[c]];
+    }
+    // most pixels first; entries that ended up empty go
+    for c in 0..n {
+        for d in c + 1..n {
+            if out.pixels[d].count_ones() > out.pixels[c].count_ones() {
+                out.pixels.swap(c, d);
+                out.palette.swap(c, d);
+            }
+        }
+    }
+    for c in 0..n {
+        if out.pixels[c] == 0 {
+            out.palette[c] = NO_SPHERE;
+        }
+    }
+    out
+}

@@ -1,0 +1,238 @@
+//! Cold fit: small surfaces grown into the largest that still fit, by additive moments.
+//!
+//! Deviation. Paper 3.2 tries, per cube, radii "from the smallest to the largest that fits" and
+//! assigns point by point. We start from the smallest patches (one image block each) and unite
+//! neighbours while one sphere for both costs fewer bits than two: the same progression from small
+//! to large, but O(1) a step and without a radius grid. First inside each hex-packed cell (cells
+//! are independent), then across cells.
+
+use super::moments::{Fit, Moments, SPHERE_BITS, bits_per_point};
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// One surface of the graph: its points' moments, the sphere through them and what it costs.
+#[derive(Clone, Copy, Debug)]
+pub struct Patch {
+    /// Sums over the patch's points.
+    pub moments: Moments,
+    /// Best surface.
+    pub fit: Fit,
+    /// Bits for the points on that surface.
+    pub bits: f64,
+}
+
+impl Patch {
+    /// The patch of these points; `None` where no surface is defined.
+    #[must_use]
+    pub fn new(moments: Moments) -> Option<Self> {
+        let fit = moments.fit()?;
+        Some(Self {
+            moments,
+            fit,
+            bits: moments.bits(fit.misfit),
+        })
+    }
+
+    /// Both patches on one surface. Each part is priced by its own misfit: a mean over the union
+    /// would let a large good part hide a small bad one.
+    fn union(&self, other: &Self) -> Option<Self> {
+        let moments = self.moments.union(&other.moments);
+        let fit = moments.fit()?;
+        let part = |p: &Self| p.moments.count * bits_per_point(p.moments.misfit(&fit.sphere));
+        Some(Self {
+            moments,
+            fit,
+            bits: SPHERE_BITS + part(self) + part(other),
+        })
+    }
+}
+
+/// A possible union, best gain first; ties by index, so that the order never depends on anything
+/// but the input.
+#[derive(Clone, Copy, Debug)]
+struct Union {
+    gain: f32,
+    a: u32,
+    b: u32,
+    age: u32,
+}
+
+impl PartialEq for Union {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+impl Eq for Union {}
+impl PartialOrd for Union {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Union {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.gain
+            .total_cmp(&other.gain)
+            .then_with(|| (other.a, other.b).cmp(&(self.a, self.b)))
+    }
+}
+
+/// A graph of patches that are united while that saves bits. Buffers are kept between frames.
+#[derive(Debug, Default)]
+pub struct Agglomeration {
+    patches: Vec<Patch>,
+    parent: Vec<u32>,
+    age: Vec<u32>,
+    neighbours: Vec<Vec<u32>>,
+    heap: BinaryHeap<Union>,
+    seen: Vec<u32>,
+    stamp: u32,
+}
+
+impl Agglomeration {
+    /// Forgets all patches, keeps the buffers.
+    pub fn clear(&mut self) {
+        self.patches.clear();
+        self.parent.clear();
+        self.age.clear();
+        self.heap.clear();
+        for n in &mut self.neighbours {
+            n.clear();
+        }
+    }
+
+    /// Adds a patch and returns its number.
+    pub fn push(&mut self, patch: Patch) -> u32 {
+        let k = self.patches.len();
+        self.patches.push(patch);
+        self.parent.push(k as u32);
+        self.age.push(0);
+        if self.neighbours.len() <= k {
+            self.neighbours.push(Vec::new());
+        }
+        k as u32
+    }
+
+    /// Says that two patches touch.
+    pub fn touch(&mut self, a: u32, b: u32) {
+        if a != b {
+            self.neighbours[a as usize].push(b);
+            self.neighbours[b as usize].push(a);
+        }
+    }
+
+    /// Number of patches pushed.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.patches.len()
+    }
+
+    /// True without any patch.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.patches.is_empty()
+    }
+
+    /// The patch that `k` is part of now.
+    #[must_use]
+    pub fn root(&self, mut k: u32) -> u32 {
+        while self.parent[k as usize] != k {
+            k = self.parent[k as usize];
+        }
+        k
+    }
+
+    /// The union under root `k`.
+    #[must_use]
+    pub fn patch(&self, k: u32) -> &Patch {
+        &self.patches[k as usize]
+    }
+
+    /// Unites touching patches, best saving first, while there is one and `stop` says false.
+    /// `allowed` restricts which pairs may be united (patches of one cell).
+    pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) {
+        self.heap.clear();
+        for a in 0..self.patches.len() as u32 {
+            if self.root(a) != a {
+                continue;
+            }
+            for i in 0..self.neighbours[a as usize].len() {
+                let b = self.root(self.neighbours[a as usize][i]);
+                if a < b && allowed(a, b) {
+                    self.propose(a, b);
+                }
+            }
+        }
+        let mut steps = 0u32;
+        while let Some(best) = self.heap.pop() {
+            let (a, b) = (best.a as usize, best.b as usize);
+            if self.parent[a] != best.a
+                || self.parent[b] != best.b
+                || self.age[a].wrapping_add(self.age[b]) != best.age
+            {
+                continue;
+            }
+            steps += 1;
+            if steps % 64 == 0 && stop() {
+                break;
+            }
+            self.unite(best.a, best.b, &allowed);
+        }
+    }
+
+    fn propose(&mut self, a: u32, b: u32) {
+        let (pa, pb) = (&self.patches[a as usize], &self.patches[b as usize]);
+        if let Some(u) = pa.union(pb) {
+            let gain = pa.bits + pb.bits - u.bits;
+            if gain > 0.0 {
+                let age = self.age[a as usize].wrapping_add(self.age[b as usize]);
+                self.heap.push(Union {
+                    gain: gain as f32,
+                    a: a.min(b),
+                    b: a.max(b),
+                    age,
+                });
+            }
+        }
+    }
+
+    fn unite(&mut self, a: u32, b: u32, allowed: &impl Fn(u32, u32) -> bool) {
+        let Some(union) = self.patches[a as usize].union(&self.patches[b as usize]) else {
+            return;
+        };
+        // the one with more neighbours keeps its number: fewer are moved
+        let (keep, gone) = if self.neighbours[a as usize].len() >= self.neighbours[b as usize].len()
+        {
+            (a, b)
+        } else {
+            (b, a)
+        };
+        self.patches[keep as usize] = union;
+        self.parent[gone as usize] = keep;
+        self.age[keep as usize] = self.age[keep as usize]
+            .wrapping_add(self.age[gone as usize])
+            .wrapping_add(1);
+        let mut moved = std::mem::take(&mut self.neighbours[gone as usize]);
+        let mut own = std::mem::take(&mut self.neighbours[keep as usize]);
+        own.append(&mut moved);
+        self.neighbours[gone as usize] = moved;
+        // one entry for each root
+        self.stamp += 1;
+        self.seen.resize(self.patches.len(), 0);
+        let mut write = 0;
+        for read in 0..own.len() {
+            let r = self.root(own[read]);
+            if r != keep && self.seen[r as usize] != self.stamp {
+                self.seen[r as usize] = self.stamp;
+                own[write] = r;
+                write += 1;
+            }
+        }
+        own.truncate(write);
+        for &n in &own {
+            if allowed(keep, n) {
+                self.propose(keep, n);
+            }
+        }
+        self.neighbours[keep as usize] = own;
+    }
+}

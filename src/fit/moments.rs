@@ -1,0 +1,321 @@
+//! Moments of image blocks: the sums from which a sphere is solved, refitted and merged in O(1).
+//!
+//! In inverse depth a sphere is `w = a·s + b·u + c·v + e` with `s = q/w` (`fit::sphere`), linear
+//! in its four parameters. The 14 sums and the count of the least-squares system are additive, so
+//! the fit of a union costs one addition and one 4×4 elimination, whatever the number of points.
+//! Sums are weighted by `1/τ²`, the squared contact distance in inverse depth: a residual is in
+//! units of the contact distance and near and far parts of one surface count alike.
+
+use super::sphere::Sphere;
+use crate::deproject::{BLOCK, Rays};
+use glam::Vec3;
+
+/// Weighted sums over (u, v, s, w) about the camera's own axes, and the number of points.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Moments {
+    /// Number of points, unweighted.
+    pub count: f64,
+    /// Σ over the weight ω of: 1, u, v, s, w, uu, uv, us, uw, vv, vs, vw, ss, sw, ww.
+    pub sums: [f64; 15],
+}
+
+/// A sphere fitted to moments.
+#[derive(Clone, Copy, Debug)]
+pub struct Fit {
+    /// The surface.
+    pub sphere: Sphere,
+    /// Mean squared residual in units of the squared contact distance.
+    pub misfit: f64,
+}
+
+/// Bits one more sphere costs (parameters and boundary), for the choice between surfaces.
+pub const SPHERE_BITS: f64 = 60.0;
+/// Bits the curvature of a sphere costs beyond a plane.
+const CURVATURE_BITS: f64 = 8.0;
+
+/// Bits a point costs on a surface it misses by `misfit` (mean square, contact distances): the
+/// share of a normal distribution outside the contact distance times the cost of an escape, and a
+/// small price on distortion itself.
+#[inline]
+#[must_use]
+pub fn bits_per_point(misfit: f64) -> f64 {
+    let x3 = misfit * misfit * misfit;
+    let escape = if misfit > 1.0 {
+        0.5 * misfit.log2()
+    } else {
+        0.0
+    };
+    3.0 * x3 / (0.12 + x3) + escape + 0.15 * misfit
+}
+
+impl Moments {
+    /// Adds one point at ray (u, v) with inverse depth `w` and weight `omega`.
+    pub fn add_point(&mut self, u: f64, v: f64, w: f64, omega: f64) {
+        let s = (u * u + v * v + 1.0) / w;
+        let terms = [
+            1.0,
+            u,
+            v,
+            s,
+            w,
+            u * u,
+            u * v,
+            u * s,
+            u * w,
+            v * v,
+            v * s,
+            v * w,
+            s * s,
+            s * w,
+            w * w,
+        ];
+        for (sum, t) in self.sums.iter_mut().zip(terms) {
+            *sum += omega * t;
+        }
+        self.count += 1.0;
+    }
+
+    /// Adds the moments of other points.
+    #[inline]
+    pub fn add(&mut self, other: &Self) {
+        self.count += other.count;
+        for (a, b) in self.sums.iter_mut().zip(&other.sums) {
+            *a += b;
+        }
+    }
+
+    /// The moments of both sets of points.
+    #[inline]
+    #[must_use]
+    pub fn union(&self, other: &Self) -> Self {
+        let mut sum = *self;
+        sum.add(other);
+        sum
+    }
+
+    /// Squared distance of the points' middle from the camera, m².
+    #[inline]
+    fn power(&self) -> f64 {
+        let (w, u, v) = self.mean();
+        (u * u + v * v + 1.0) / (w * w)
+    }
+
+    /// Mean squared residual of these points on `sphere`, in squared contact distances. The linear
+    /// form over its slope in `w` at the points' middle, the distance to first order.
+    #[inline]
+    #[must_use]
+    pub fn misfit(&self, sphere: &Sphere) -> f64 {
+        let [o, u, v, s, w, uu, uv, us, uw, vv, vs, vw, ss, sw, ww] = self.sums;
+        let (a, b) = (f64::from(sphere.a), f64::from(sphere.m.x));
+        let (c, e) = (f64::from(sphere.m.y), f64::from(sphere.m.z));
+        let square = a * (a * ss + 2.0 * (b * us + c * vs + e * s - sw))
+            + b * (b * uu + 2.0 * (c * uv + e * u - uw))
+            + c * (c * vv + 2.0 * (e * v - vw))
+            + e * (e * o - 2.0 * w)
+            + ww;
+        let slope = 1.0 + a * self.power();
+        square.max(0.0) / (slope * slope * self.count.max(1.0))
+    }
+
+    /// Mean inverse depth and mean ray (u, v) of the points.
+    #[must_use]
+    pub fn mean(&self) -> (f64, f64, f64) {
+        let o = self.sums[0];
+        (self.sums[4] / o, self.sums[1] / o, self.sums[2] / o)
+    }
+
+    /// Least-squares surface through the points: a plane, or a sphere where its curvature saves
+    /// more bits than it costs. `None` for fewer than three points or points on one line.
+    ///
+    /// One Gaussian elimination in the order (1, u, v, s) yields both: the plane before the last
+    /// column, the sphere after it. The last column is not `s = |p|²/z`, whose noise is that of `w`
+    /// itself (a regression on it finds the degenerate sphere through every reading), but
+    /// `|p − p₀|²/z` about the points' middle `p₀`: that is `s + |p₀|²·w` up to terms in u, v, 1
+    /// already eliminated, and to first order free of noise.
+    #[must_use]
+    pub fn fit(&self) -> Option<Fit> {
+        let [o, u, v, s, w, uu, uv, us, uw, vv, vs, vw, ss, sw, ww] = self.sums;
+        if self.count < 3.0 || o <= 0.0 {
+            return None;
+        }
+        // centred on the mean: the sums are f64, block sums about local origins (module docs)
+        let i = 1.0 / o;
+        let (cuu, cuv, cus, cuw) = (
+            uu - u * u * i,
+            uv - u * v * i,
+            us - u * s * i,
+            uw - u * w * i,
+        );
+        let (cvv, cvs, cvw) = (vv - v * v * i, vs - v * s * i, vw - v * w * i);
+        let (css, csw, cww) = (ss - s * s * i, sw - s * w * i, ww - w * w * i);
+        if cuu <= 1e-14 * uu.max(o * 1e-6) {
+            return None;
+        }
+        let f = cuv / cuu;
+        let dvv = cvv - f * cuv;
+        if dvv <= 1e-9 * cvv.max(cuu) {
+            return None;
+        }
+        let (dvs, dvw) = (cvs - f * cus, cvw - f * cuw);
+        let (g, h) = (cus / cuu, dvs / dvv);
+        let dss = css - g * cus - h * dvs;
+        let dsw = csw - g * cuw - h * dvw;
+        let plane_square = (cww - cuw * cuw / cuu - dvw * dvw / dvv).max(0.0);
+        let n = self.count;
+        let p = self.power();
+        // w = k·(s + p·w) + b·u + c·v + e, then the form w = a·s + m·r
+        let solve = |k: f64| {
+            let c = (dvw - k * (dvs + p * dvw)) / dvv;
+            let b = (cuw - k * (cus + p * cuw) - c * cuv) / cuu;
+            let e = (w - k * (s + p * w) - b * u - c * v) * i;
+            let d = 1.0 / (1.0 - k * p);
+            Sphere {
+                a: (k * d) as f32,
+                m: Vec3::new((b * d) as f32, (c * d) as f32, (e * d) as f32),
+                far: false,
+            }
+        };
+        let plane = Fit {
+            sphere: solve(0.0),
+            misfit: plane_square / n,
+        };
+        let (bend, lift) = (
+            dss + p * (2.0 * dsw + p * plane_square),
+            dsw + p * plane_square,
+        );
+        if n < 8.0 || bend <= 1e-12 * ss.max(0.0) {
+            return Some(plane);
+        }
+        let k = lift / bend;
+        let sphere_square = (plane_square - lift * k).max(0.0);
+        let misfit = sphere_square / n;
+        if n * (bits_per_point(plane.misfit) - bits_per_point(misfit)) < CURVATURE_BITS {
+            return Some(plane);
+        }
+        // half a turn of the surface away from the middle the first order no longer holds
+        if k * p >= 0.999 {
+            return Some(plane);
+        }
+        let mut sphere = solve(k);
+        // the points lie beyond the tangent cone: the camera sees the far wall
+        let (wm, um, vm) = self.mean();
+        let l = f64::from(sphere.m.x) * um + f64::from(sphere.m.y) * vm + f64::from(sphere.m.z);
+        sphere.far = 2.0 * wm < l;
+        Some(Fit { sphere, misfit })
+    }
+
+    /// Bits to code these points on the surface `fit` found for them.
+    #[must_use]
+    pub fn bits(&self, misfit: f64) -> f64 {
+        SPHERE_BITS + self.count * bits_per_point(misfit)
+    }
+}
+
+/// Moments of the block at (`bx`, `by`) of a padded plane of depth integers (0 = invalid), with
+/// the pixels of `keep` only (bit `8·row + column`). `weight` gives ω from the block's mean depth
+/// in metres.
+///
+/// Sums are single precision about the block's own centre (64 terms, no cancellation), then moved
+/// to the camera's axes in double precision.
+#[inline(always)]
+pub fn of_block(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    keep: u64,
+    weight: impl Fn(f64) -> f64,
+) -> Moments {
+    let stride = rays.stride();
+    let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
+    let mut z = [[0f32; BLOCK]; BLOCK];
+    let mut on = [[0f32; BLOCK]; BLOCK];
+    let (mut total, mut number) = ([0f32; BLOCK], [0f32; BLOCK]);
+    for j in 0..BLOCK {
+        let start = (y0 + j) * stride + x0;
+        let row = &plane[start..start + BLOCK];
+        let bits = (keep >> (8 * j)) as u8;
+        for i in 0..BLOCK {
+            let raw = row[i];
+            let m = if raw != 0 && bits >> i & 1 != 0 {
+                1.0
+            } else {
+                0.0
+            };
+            z[j][i] = f32::from(raw) * rays.unit;
+            on[j][i] = m;
+            total[i] += z[j][i] * m;
+            number[i] += m;
+        }
+    }
+    let count: f32 = number.iter().sum();
+    if count == 0.0 {
+        return Moments::default();
+    }
+    let z0 = total.iter().sum::<f32>() / count;
+    let (w0, u0, v0) = (
+        1.0 / z0,
+        rays.u[x0] + 3.5 * (rays.u[x0 + 1] - rays.u[x0]),
+        rays.v[y0] + 3.5 * (rays.v[y0 + 1] - rays.v[y0]),
+    );
+    let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
+    // columns: sums over the rows of 1, v, vv, w, wv, ww, s, sv, ss, sw, all about the centre
+    let mut c = [[0f32; BLOCK]; 10];
+    let mut du = [0f32; BLOCK];
+    let mut uu1 = [0f32; BLOCK];
+    for i in 0..BLOCK {
+        du[i] = rays.u[x0 + i] - u0;
+        uu1[i] = rays.u[x0 + i] * rays.u[x0 + i] + 1.0;
+    }
+    for j in 0..BLOCK {
+        let v = rays.v[y0 + j];
+        let dv = v - v0;
+        for i in 0..BLOCK {
+            let m = on[j][i];
+            let depth = z[j][i];
+            let w = m * (1.0 / depth.max(1e-6) - w0);
+            let s = m * ((uu1[i] + v * v) * depth - s0);
+            let mv = m * dv;
+            c[0][i] += m;
+            c[1][i] += mv;
+            c[2][i] += mv * dv;
+            c[3][i] += w;
+            c[4][i] += w * dv;
+            c[5][i] += w * w;
+            c[6][i] += s;
+            c[7][i] += s * dv;
+            c[8][i] += s * s;
+            c[9][i] += s * w;
+        }
+    }
+    let sum = |k: usize| f64::from(c[k].iter().sum::<f32>());
+    let dot = |k: usize| f64::from((0..BLOCK).map(|i| c[k][i] * du[i]).sum::<f32>());
+    let dot2 = f64::from((0..BLOCK).map(|i| c[0][i] * du[i] * du[i]).sum::<f32>());
+    // local sums, then the shift to the camera's axes
+    let (n, lu, lv, ls, lw) = (f64::from(count), dot(0), sum(1), sum(6), sum(3));
+    let (luu, luv, lus, luw) = (dot2, dot(1), dot(6), dot(3));
+    let (lvv, lvs, lvw, lss, lsw, lww) = (sum(2), sum(7), sum(4), sum(8), sum(9), sum(5));
+    let (u0, v0, s0, w0) = (f64::from(u0), f64::from(v0), f64::from(s0), f64::from(w0));
+    let shift = |xy: f64, x: f64, y: f64, x0: f64, y0: f64| xy + x0 * y + y0 * x + n * x0 * y0;
+    let sums = [
+        n,
+        lu + n * u0,
+        lv + n * v0,
+        ls + n * s0,
+        lw + n * w0,
+        shift(luu, lu, lu, u0, u0),
+        shift(luv, lu, lv, u0, v0),
+        shift(lus, lu, ls, u0, s0),
+        shift(luw, lu, lw, u0, w0),
+        shift(lvv, lv, lv, v0, v0),
+        shift(lvs, lv, ls, v0, s0),
+        shift(lvw, lv, lw, v0, w0),
+        shift(lss, ls, ls, s0, s0),
+        shift(lsw, ls, lw, s0, w0),
+        shift(lww, lw, lw, w0, w0),
+    ];
+    let omega = weight(f64::from(z0));
+    Moments {
+        count: n,
+        sums: sums.map(|s| s * omega),
+    }
+}
