@@ -3,6 +3,8 @@
 //! A source owns its device or folder, fills the buffer it is handed (buffers go round; no
 //! allocation per frame) and reports every loss it can see.
 
+pub mod synthetic;
+
 use crate::frame::{Camera, ColorFrame, DepthFrame};
 use std::path::PathBuf;
 

@@ -1,0 +1,212 @@
+//! What to imitate: `synthetic:SCENE[,key=value,...]` as typed options.
+
+use super::scene::Scene;
+use super::sensor::NoiseModel;
+use crate::capture::CaptureError;
+use std::fmt::Display;
+use std::str::FromStr;
+
+/// Largest image, pixels: 16 megapixels.
+const MAX_PIXELS: u64 = 1 << 24;
+/// Largest memory for frames rendered ahead, bytes.
+const MAX_PRERENDER_BYTES: u64 = 1 << 30;
+
+/// How the synthetic sensor behaves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SyntheticOptions {
+    /// What it looks at.
+    pub scene: Scene,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// Nominal frame rate, frames per second; motion follows it.
+    pub fps: f64,
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// The camera imitated.
+    pub noise: NoiseModel,
+    /// Frames before the stream ends; endless when `None`.
+    pub frames: Option<u64>,
+    /// Metres per depth integer.
+    pub unit_m: f64,
+    /// Frames come this many times as fast as `fps` says (overload).
+    pub speed: f64,
+    /// Another view every so many frames; 0 = never.
+    pub cut: u64,
+    /// Every second run of so many frames is pure noise; 0 = never.
+    pub burst: u64,
+    /// Silent for a second after every so many frames; 0 = never.
+    pub stall: u64,
+    /// Frames rendered when the source is opened and then repeated for ever; 0 = render as they
+    /// come. For sizes and rates this machine cannot render in time.
+    pub prerender: u32,
+    /// True: a camera that does not wait. False: frames as fast as they are asked for.
+    pub paced: bool,
+}
+
+/// Keys of the text form, with what they take.
+const KEYS: [(&str, &str); 14] = [
+    ("width", "pixels"),
+    ("height", "pixels"),
+    ("size", "WIDTHxHEIGHT"),
+    ("fps", "frames per second"),
+    ("seed", "number"),
+    ("noise", "off|kinect|stereo|tof"),
+    ("frames", "frames before the end"),
+    ("unit", "metres per integer"),
+    ("speed", "times the nominal rate"),
+    ("cut", "frames per view"),
+    ("burst", "frames per burst"),
+    ("stall", "frames between stalls"),
+    ("prerender", "frames"),
+    ("paced", "true|false"),
+];
+
+impl SyntheticOptions {
+    /// VGA at 30 frames per second, Kinect noise, paced.
+    #[must_use]
+    pub fn new(scene: Scene) -> Self {
+        Self {
+            scene,
+            width: 640,
+            height: 480,
+            fps: 30.0,
+            seed: 1,
+            noise: match scene {
+                Scene::Checkerboard => NoiseModel::Off,
+                _ => NoiseModel::Kinect,
+            },
+            frames: None,
+            unit_m: 0.001,
+            speed: 1.0,
+            cut: if scene == Scene::Cut { 30 } else { 0 },
+            burst: if scene == Scene::Noise { 15 } else { 0 },
+            stall: if scene == Scene::Stall { 60 } else { 0 },
+            prerender: 0,
+            paced: true,
+        }
+    }
+
+    /// The same, unpaced: for tests, benches and generation.
+    #[must_use]
+    pub fn unpaced(scene: Scene) -> Self {
+        Self {
+            paced: false,
+            ..Self::new(scene)
+        }
+    }
+
+    /// Reads `SCENE[,key=value,...]`, with or without `synthetic:` before it. No scene at all
+    /// means `juggle`.
+    ///
+    /// # Errors
+    /// [`CaptureError::Usage`] naming what is unknown or out of range, and what exists.
+    pub fn parse(text: &str) -> Result<Self, CaptureError> {
+        let text = text.strip_prefix("synthetic:").unwrap_or(text);
+        let mut parts = text.split(',');
+        let name = match parts.next().unwrap_or_default() {
+            "" | "synthetic" => Scene::Juggle.name(),
+            name => name,
+        };
+        let scene = Scene::named(name).ok_or_else(|| unknown_scene(name))?;
+        let mut options = Self::new(scene);
+        for part in parts {
+            let (key, value) = part.split_once('=').ok_or_else(|| {
+                CaptureError::Usage(format!("`{part}` is not key=value; {}", known_keys()))
+            })?;
+            options.set(key, value)?;
+        }
+        options.validated()
+    }
+
+    fn set(&mut self, key: &str, value: &str) -> Result<(), CaptureError> {
+        match key {
+            "width" => self.width = number(key, value)?,
+            "height" => self.height = number(key, value)?,
+            "size" => {
+                let (width, height) = value.split_once('x').ok_or_else(|| {
+                    CaptureError::Usage(format!("size is WIDTHxHEIGHT, not `{value}`"))
+                })?;
+                self.width = number(key, width)?;
+                self.height = number(key, height)?;
+            }
+            "fps" => self.fps = number(key, value)?,
+            "seed" => self.seed = number(key, value)?,
+            "noise" => {
+                self.noise = NoiseModel::named(value).ok_or_else(|| {
+                    let known = NoiseModel::ALL.map(|entry| entry.1).join(", ");
+                    CaptureError::Usage(format!("no noise model `{value}`; there are {known}"))
+                })?;
+            }
+            "frames" => self.frames = Some(number(key, value)?),
+            "unit" => self.unit_m = number(key, value)?,
+            "speed" => self.speed = number(key, value)?,
+            "cut" => self.cut = number(key, value)?,
+            "burst" => self.burst = number(key, value)?,
+            "stall" => self.stall = number(key, value)?,
+            "prerender" => self.prerender = number(key, value)?,
+            "paced" => self.paced = number(key, value)?,
+            _ => {
+                return Err(CaptureError::Usage(format!(
+                    "the synthetic sensor has no `{key}`; {}",
+                    known_keys()
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// The options, if all numbers are in range.
+    ///
+    /// # Errors
+    /// [`CaptureError::Usage`] naming the number and its range.
+    pub fn validated(self) -> Result<Self, CaptureError> {
+        let pixels = u64::from(self.width) * u64::from(self.height);
+        if pixels == 0 || pixels > MAX_PIXELS || self.width > 16384 || self.height > 16384 {
+            return Err(CaptureError::Usage(format!(
+                "size {}x{} is out of range: 1x1 to {MAX_PIXELS} pixels, sides up to 16384",
+                self.width, self.height
+            )));
+        }
+        in_range("fps", self.fps, 0.01, 10_000.0)?;
+        in_range("unit", self.unit_m, 1e-6, 0.1)?;
+        in_range("speed", self.speed, 0.01, 100.0)?;
+        let ahead = u64::from(self.prerender) * pixels * 2;
+        if ahead > MAX_PRERENDER_BYTES {
+            return Err(CaptureError::Usage(format!(
+                "prerender={} needs {ahead} bytes, at most {MAX_PRERENDER_BYTES}; ask for fewer",
+                self.prerender
+            )));
+        }
+        Ok(self)
+    }
+}
+
+fn in_range(key: &str, value: f64, least: f64, most: f64) -> Result<(), CaptureError> {
+    if (least..=most).contains(&value) {
+        return Ok(());
+    }
+    Err(CaptureError::Usage(format!(
+        "{key}={value} is out of range: {least} to {most}"
+    )))
+}
+
+fn number<T: FromStr<Err: Display>>(key: &str, value: &str) -> Result<T, CaptureError> {
+    value
+        .parse()
+        .map_err(|error: T::Err| CaptureError::Usage(format!("{key}={value}: {error}")))
+}
+
+fn unknown_scene(name: &str) -> CaptureError {
+    let mut text = format!("no scene `{name}`; there are");
+    for (_, name, about) in Scene::ALL {
+        text.push_str(&format!("\n  {name:<13}{about}"));
+    }
+    CaptureError::Usage(text)
+}
+
+fn known_keys() -> String {
+    let keys = KEYS.map(|(key, takes)| format!("{key}={takes}"));
+    format!("keys are {}", keys.join(", "))
+}

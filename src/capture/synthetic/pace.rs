@@ -1,0 +1,136 @@
+//! A camera that does not wait, as a pure function of the clock.
+//!
+//! It imitates a driver with two buffers: a finished frame takes a free buffer or is lost; a
+//! reader gets the oldest one. Sequence numbers count lost frames too, so a late reader sees gaps.
+
+/// Buffers of the imitated driver.
+const BUFFERS: usize = 2;
+/// Length of a stall, nanoseconds.
+pub(super) const STALL_NS: i64 = 1_000_000_000;
+
+/// When frames are due, nanoseconds after the first.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Schedule {
+    period_ns: f64,
+    /// A stall follows every so many frames; 0 = never.
+    stall: u64,
+}
+
+impl Schedule {
+    pub fn new(frames_per_second: f64, stall: u64) -> Self {
+        Self {
+            period_ns: 1e9 / frames_per_second,
+            stall,
+        }
+    }
+
+    /// When frame `index` is due.
+    pub fn due_ns(&self, index: u64) -> i64 {
+        let stalls = index.checked_div(self.stall).unwrap_or(0);
+        ((index as f64 * self.period_ns) as i64)
+            .saturating_add((stalls as i64).saturating_mul(STALL_NS))
+    }
+
+    /// Number of frames due at `now_ns` or before.
+    fn produced(&self, now_ns: i64) -> u64 {
+        // due_ns grows with the index: first index due after now
+        let (mut low, mut high) = (0, (now_ns.max(0) as f64 / self.period_ns) as u64 + 2);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            if self.due_ns(middle) <= now_ns {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        low
+    }
+}
+
+/// What the reader finds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Turn {
+    /// This frame has been waiting.
+    Ready(u64),
+    /// The next frame, and when it is due.
+    Due(u64, i64),
+}
+
+/// The driver's side: filled buffers and the next frame number.
+#[derive(Clone, Debug)]
+pub(super) struct Driver {
+    schedule: Schedule,
+    next: u64,
+    filled: [u64; BUFFERS],
+    count: usize,
+}
+
+impl Driver {
+    pub fn new(schedule: Schedule) -> Self {
+        Self {
+            schedule,
+            next: 0,
+            filled: [0; BUFFERS],
+            count: 0,
+        }
+    }
+
+    /// The reader asks at `now_ns`. A [`Turn::Ready`] frame leaves its buffer.
+    pub fn turn(&mut self, now_ns: i64) -> Turn {
+        let produced = self.schedule.produced(now_ns).max(self.next);
+        while self.count < BUFFERS && self.next < produced {
+            self.filled[self.count] = self.next;
+            self.count += 1;
+            self.next += 1;
+        }
+        // no buffer was free for the rest
+        self.next = produced;
+        if self.count == 0 {
+            return Turn::Due(self.next, self.schedule.due_ns(self.next));
+        }
+        let oldest = self.filled[0];
+        self.filled.rotate_left(1);
+        self.count -= 1;
+        Turn::Ready(oldest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn a_reader_in_time_gets_every_frame() {
+        let mut driver = Driver::new(Schedule::new(100.0, 0));
+        for index in 0..50 {
+            let due = index as i64 * 10 * MS;
+            assert_eq!(driver.turn(due - 1), Turn::Due(index, due));
+            assert_eq!(driver.turn(due), Turn::Ready(index));
+        }
+    }
+
+    #[test]
+    fn a_late_reader_gets_the_two_oldest_and_then_a_gap() {
+        let mut driver = Driver::new(Schedule::new(100.0, 0));
+        assert_eq!(driver.turn(0), Turn::Ready(0));
+        // frames 1 and 2 fill the buffers, 3 to 9 find none
+        assert_eq!(driver.turn(95 * MS), Turn::Ready(1));
+        assert_eq!(driver.turn(96 * MS), Turn::Ready(2));
+        assert_eq!(driver.turn(97 * MS), Turn::Due(10, 100 * MS));
+        assert_eq!(driver.turn(101 * MS), Turn::Ready(10));
+    }
+
+    #[test]
+    fn a_stall_moves_all_later_frames_by_a_second() {
+        let schedule = Schedule::new(100.0, 5);
+        assert_eq!(schedule.due_ns(4), 40 * MS);
+        assert_eq!(schedule.due_ns(5), 1_050 * MS);
+        assert_eq!(schedule.due_ns(10), 2_100 * MS);
+        for now in [0, 40, 41, 1_049, 1_050, 2_099, 2_100].map(|ms| ms * MS) {
+            let slow = (0..1000).take_while(|&i| schedule.due_ns(i) <= now).count();
+            assert_eq!(schedule.produced(now), slow as u64, "at {now}");
+        }
+    }
+}
