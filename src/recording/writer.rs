@@ -1,0 +1,522 @@
+//! Writing a recording: frames, colour and statistics into chunks that are safe once closed.
+
+use super::calibration::{
+    CALIBRATION_SCHEMA, CAMERA_SCHEMA, calibration, calibration_schema, camera_schema,
+};
+use super::message::{self, FrameHeader};
+use super::sink::Sink;
+use super::tally::{self, Tally};
+use super::{
+    CALIBRATION_TOPIC, CAMERA_TOPIC, COLOR_TOPIC, MAX_MESSAGE, RecordingError, SAINT_ENCODING,
+    SAINT_TOPIC, STATISTICS_TOPIC, Target, color,
+};
+use crate::codec::EncodedFrame;
+use crate::frame::{Camera, ColorFrame, FrameTime};
+use mcap::McapError;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// A chunk is closed when its frames span this much stream time, ns.
+const CHUNK_STREAM_NS: i64 = 1_000_000_000;
+/// A chunk is closed when it is this old.
+const CHUNK_AGE: Duration = Duration::from_secs(1);
+/// A chunk is closed when it holds this many bytes.
+const CHUNK_BYTES: usize = 4 << 20;
+
+/// What a recording says of itself beside the camera.
+#[derive(Clone, Debug, Default)]
+pub struct WriterOptions {
+    /// Extra facts about the stream (tolerance, source, options), as metadata of the `saint`
+    /// channel. The names `camera` and `generator` are taken.
+    pub notes: BTreeMap<String, String>,
+}
+
+/// What is in a finished recording.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct RecordingSummary {
+    /// File or pipe.
+    pub target: String,
+    /// Frames written.
+    pub frames: u64,
+    /// Key frames among them.
+    pub key_frames: u64,
+    /// Colour images written.
+    pub color_frames: u64,
+    /// Size of the recording, bytes.
+    pub bytes: u64,
+    /// Last frame's device time minus the first's, ns.
+    pub duration_ns: i64,
+}
+
+/// Writes one recording. Dropped without [`finish`](Self::finish) it still finalises the file,
+/// but nobody hears of an error.
+pub struct RecordingWriter {
+    /// `None` once finished or failed.
+    container: Option<mcap::Writer<NoSeek<Sink>>>,
+    target: String,
+    camera: Camera,
+    saint: u16,
+    calibration: u16,
+    camera_channel: u16,
+    statistics: Option<u16>,
+    color: Option<u16>,
+    tally: Tally,
+    chunk: Chunk,
+    /// Added to the device clock to make a log time; set by the first message.
+    clock_offset: Option<i64>,
+    kept_frames: u64,
+    kept_bytes: u64,
+    /// Bytes the sink has handed to the system.
+    written: Arc<AtomicU64>,
+    /// The camera's messages are out.
+    described: bool,
+    message: Vec<u8>,
+}
+
+/// The chunk that is open.
+#[derive(Default)]
+struct Chunk {
+    /// When its first message came; `None` while it is empty.
+    since: Option<Instant>,
+    first_ns: i64,
+    bytes: usize,
+}
+
+impl Chunk {
+    /// Whether the chunk must be closed before a message of `bytes` at `device_ns` goes in.
+    fn is_full(&self, device_ns: i64, key: bool, bytes: usize, now: Instant) -> bool {
+        let Some(since) = self.since else {
+            return false;
+        };
+        let span = device_ns.saturating_sub(self.first_ns).saturating_abs();
+        let age = now.saturating_duration_since(since);
+        span >= CHUNK_STREAM_NS
+            || age >= CHUNK_AGE
+            || self.bytes + bytes > CHUNK_BYTES
+            || (key && span >= CHUNK_STREAM_NS / 2)
+    }
+}
+
+impl RecordingWriter {
+    /// Opens the target and writes the container's beginning: the camera is safe before the
+    /// first frame comes.
+    ///
+    /// # Errors
+    /// [`RecordingError::Exists`], [`RecordingError::Unwritable`], or a write error.
+    pub fn create(
+        target: Target,
+        camera: &Camera,
+        options: &WriterOptions,
+    ) -> Result<Self, RecordingError> {
+        let name = target.name();
+        let sink = Sink::open(target)?;
+        let written = sink.written();
+        let container = mcap::WriteOptions::new()
+            .library(generator())
+            .chunk_size(None) // closed here, by time and size
+            .compression(None)
+            .disable_seeking(true)
+            .create(NoSeek::new(sink))
+            .map_err(|e| write_error(e, &name, 0, 0))?;
+        let mut writer = Self {
+            container: Some(container),
+            target: name,
+            camera: camera.clone(),
+            saint: 0,
+            calibration: 0,
+            camera_channel: 0,
+            statistics: None,
+            color: None,
+            tally: Tally::default(),
+            chunk: Chunk::default(),
+            clock_offset: None,
+            kept_frames: 0,
+            kept_bytes: 0,
+            written,
+            described: false,
+            message: Vec::new(),
+        };
+        writer.begin(&options.notes)?;
+        Ok(writer)
+    }
+
+    /// Channels every recording has, in a chunk of their own.
+    fn begin(&mut self, notes: &BTreeMap<String, String>) -> Result<(), RecordingError> {
+        let mut facts = notes.clone();
+        facts.insert("generator".to_owned(), generator());
+        facts.insert("camera".to_owned(), json_text(&self.camera));
+        let schema = ("saint-live.frame", "text", SAINT_SCHEMA.to_owned());
+        self.saint = self.add_channel(SAINT_TOPIC, SAINT_ENCODING, schema, &facts)?;
+        self.calibration = self.add_json(
+            CALIBRATION_TOPIC,
+            CALIBRATION_SCHEMA,
+            &calibration_schema().to_string(),
+        )?;
+        self.camera_channel =
+            self.add_json(CAMERA_TOPIC, CAMERA_SCHEMA, &camera_schema().to_string())?;
+        self.tally.open_chunk();
+        self.close_chunk()
+    }
+
+    /// Appends one frame.
+    ///
+    /// # Errors
+    /// A write error says how many frames are safe; the recording is closed by it.
+    pub fn frame(&mut self, frame: &EncodedFrame) -> Result<(), RecordingError> {
+        let mut message = std::mem::take(&mut self.message);
+        message::write(frame, &mut message);
+        let header = FrameHeader {
+            key: frame.key,
+            sequence: frame.sequence,
+            time: frame.time,
+        };
+        let kind = if header.key { Kind::Key } else { Kind::Other };
+        let result = self.put(
+            self.saint,
+            SAINT_TOPIC,
+            (header.sequence, header.time),
+            kind,
+            &message,
+        );
+        if result.is_ok() {
+            self.tally.frame(&header);
+        }
+        self.message = message;
+        result
+    }
+
+    /// Appends one colour image, its bytes untouched.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn color(&mut self, frame: &ColorFrame) -> Result<(), RecordingError> {
+        let channel = match self.color {
+            Some(channel) => channel,
+            None => {
+                let schema = (color::SCHEMA, "ros2msg", color::DEFINITION.to_owned());
+                let channel = self.add_channel(COLOR_TOPIC, "cdr", schema, &BTreeMap::new())?;
+                *self.color.insert(channel)
+            }
+        };
+        let stamp = self.log_time(frame.time);
+        let mut message = std::mem::take(&mut self.message);
+        color::write(frame, stamp, &mut message);
+        let result = self.put(
+            channel,
+            COLOR_TOPIC,
+            (frame.sequence, frame.time),
+            Kind::Other,
+            &message,
+        );
+        self.message = message;
+        result
+    }
+
+    /// Appends one set of statistics.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn statistics(
+        &mut self,
+        statistics: &serde_json::Value,
+        time: FrameTime,
+    ) -> Result<(), RecordingError> {
+        let channel = match self.statistics {
+            Some(channel) => channel,
+            None => {
+                let schema = r#"{"title":"saint-live.statistics","type":"object"}"#;
+                let channel = self.add_json(STATISTICS_TOPIC, "saint-live.statistics", schema)?;
+                *self.statistics.insert(channel)
+            }
+        };
+        let text = statistics.to_string();
+        self.put(
+            channel,
+            STATISTICS_TOPIC,
+            (0, time),
+            Kind::Other,
+            text.as_bytes(),
+        )
+    }
+
+    /// Closes the chunk that is open if it is a second old. Call it while no frame comes, so that
+    /// a stalled camera does not keep frames from the disk.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn idle(&mut self) -> Result<(), RecordingError> {
+        match self.chunk.since {
+            Some(since) if since.elapsed() >= CHUNK_AGE => self.close_chunk(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the index and the end mark.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame); closed chunks stay readable then.
+    pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
+        self.finalise()?;
+        Ok(RecordingSummary {
+            target: self.target.clone(),
+            frames: self.tally.frames,
+            key_frames: self.tally.key_frames.len() as u64,
+            color_frames: self
+                .tally
+                .channels
+                .get(COLOR_TOPIC)
+                .map_or(0, |t| t.messages),
+            bytes: self.kept_bytes,
+            duration_ns: self
+                .tally
+                .last
+                .device_ns
+                .saturating_sub(self.tally.first.device_ns),
+        })
+    }
+
+    /// Frames that are safe whatever happens next.
+    #[must_use]
+    pub fn kept_frames(&self) -> u64 {
+        self.kept_frames
+    }
+
+    /// Bytes that are safe whatever happens next.
+    #[must_use]
+    pub fn kept_bytes(&self) -> u64 {
+        self.kept_bytes
+    }
+
+    fn finalise(&mut self) -> Result<(), RecordingError> {
+        if self.chunk.since.is_some() {
+            self.close_chunk()?;
+        }
+        let index = Metadata {
+            name: tally::RECORD.to_owned(),
+            metadata: self.tally.to_metadata(),
+        };
+        self.with(|container| {
+            container.write_metadata(&index)?;
+            container.finish().map(|_| ())
+        })?;
+        let Some(container) = self.container.take() else {
+            return Ok(());
+        };
+        let mut sink = container.into_inner().into_inner();
+        let end = sink.flush().and_then(|()| sink.sync());
+        if let Err(source) = end {
+            sink.keep(self.kept_bytes);
+            return Err(self.write_error(source.into()));
+        }
+        self.kept_bytes = self.written.load(Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// One message into the open chunk, after closing it if it is full.
+    fn put(
+        &mut self,
+        channel: u16,
+        topic: &'static str,
+        (sequence, time): (u64, FrameTime),
+        kind: Kind,
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        if data.len() > MAX_MESSAGE {
+            return Err(RecordingError::TooLarge {
+                target: self.target.clone(),
+                topic,
+                bytes: data.len(),
+                limit: MAX_MESSAGE,
+            });
+        }
+        let now = Instant::now();
+        if self
+            .chunk
+            .is_full(time.device_ns, kind == Kind::Key, data.len(), now)
+        {
+            self.close_chunk()?;
+        }
+        if self.chunk.since.is_none() {
+            self.tally.open_chunk();
+            self.chunk.since = Some(now);
+            self.chunk.first_ns = time.device_ns;
+        }
+        if !self.described {
+            self.describe_camera(time)?;
+        }
+        self.append(channel, topic, (sequence, time), data)
+    }
+
+    /// The camera's two messages, at the first message's time.
+    fn describe_camera(&mut self, time: FrameTime) -> Result<(), RecordingError> {
+        self.described = true;
+        let stamp = self.log_time(time);
+        let text = calibration(&self.camera, stamp).to_string();
+        self.append(
+            self.calibration,
+            CALIBRATION_TOPIC,
+            (0, time),
+            text.as_bytes(),
+        )?;
+        let text = json_text(&self.camera);
+        self.append(
+            self.camera_channel,
+            CAMERA_TOPIC,
+            (0, time),
+            text.as_bytes(),
+        )
+    }
+
+    fn append(
+        &mut self,
+        channel_id: u16,
+        topic: &'static str,
+        (sequence, time): (u64, FrameTime),
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        let log_time = self.log_time(time);
+        let header = MessageHeader {
+            channel_id,
+            sequence: sequence as u32, // MCAP's field; the whole number stands in our header
+            log_time,
+            publish_time: match u64::try_from(time.wall_ns) {
+                Ok(wall) if wall > 0 => wall,
+                _ => log_time,
+            },
+        };
+        self.with(|container| container.write_to_known_channel(&header, data))?;
+        self.tally.message(topic, data.len());
+        self.chunk.bytes += data.len();
+        Ok(())
+    }
+
+    /// MCAP's log time: the device clock moved to the first message's wall clock.
+    fn log_time(&mut self, time: FrameTime) -> u64 {
+        let offset = *self.clock_offset.get_or_insert(if time.wall_ns == 0 {
+            0
+        } else {
+            time.wall_ns.saturating_sub(time.device_ns)
+        });
+        u64::try_from(time.device_ns.saturating_add(offset)).unwrap_or(0)
+    }
+
+    fn close_chunk(&mut self) -> Result<(), RecordingError> {
+        self.with(mcap::Writer::flush)?;
+        self.chunk = Chunk::default();
+        self.kept_frames = self.tally.frames;
+        self.kept_bytes = self.written.load(Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn add_json(&mut self, topic: &str, name: &str, schema: &str) -> Result<u16, RecordingError> {
+        let schema = (name, "jsonschema", schema.to_owned());
+        self.add_channel(topic, "json", schema, &BTreeMap::new())
+    }
+
+    fn add_channel(
+        &mut self,
+        topic: &str,
+        encoding: &str,
+        (name, schema_encoding, schema): (&str, &str, String),
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<u16, RecordingError> {
+        self.with(|container| {
+            let id = container.add_schema(name, schema_encoding, schema.as_bytes())?;
+            container.add_channel(id, topic, encoding, metadata)
+        })
+    }
+
+    /// Runs one step of the container. After an error nothing more is written, and a file is
+    /// shortened to its last whole chunk.
+    fn with<T>(
+        &mut self,
+        step: impl FnOnce(&mut mcap::Writer<NoSeek<Sink>>) -> Result<T, McapError>,
+    ) -> Result<T, RecordingError> {
+        let Some(mut container) = self.container.take() else {
+            return Err(RecordingError::Finished {
+                target: self.target.clone(),
+                frames: self.kept_frames,
+            });
+        };
+        match step(&mut container) {
+            Ok(value) => {
+                self.container = Some(container);
+                Ok(value)
+            }
+            Err(error) => {
+                container.into_inner().into_inner().keep(self.kept_bytes);
+                Err(self.write_error(error))
+            }
+        }
+    }
+
+    fn write_error(&self, error: McapError) -> RecordingError {
+        write_error(error, &self.target, self.kept_frames, self.kept_bytes)
+    }
+}
+
+impl Drop for RecordingWriter {
+    fn drop(&mut self) {
+        if self.container.is_some() {
+            let _ = self.finalise();
+        }
+    }
+}
+
+/// What the chunking rule wants to know of a message.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Key,
+    Other,
+}
+
+/// The `saint` channel's schema: where to read on.
+const SAINT_SCHEMA: &str = "\
+One frame of a saint-live stream, little endian:
+u8 kind ('K' decodes alone, 'P' needs the frame before it), u64 sequence, i64 device clock ns,
+i64 wall clock ns, then the payload that src/codec/FORMAT.md of saint-live describes.
+";
+
+fn generator() -> String {
+    concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned()
+}
+
+fn json_text(camera: &Camera) -> String {
+    // a struct of numbers, strings and a list always has a JSON form
+    serde_json::to_string(camera).unwrap_or_default()
+}
+
+fn write_error(error: McapError, target: &str, frames: u64, bytes: u64) -> RecordingError {
+    let target = target.to_owned();
+    match error {
+        McapError::Io(source) => match source.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => RecordingError::DiskFull {
+                target,
+                frames,
+                bytes,
+                source,
+            },
+            io::ErrorKind::BrokenPipe => RecordingError::Closed {
+                target,
+                frames,
+                bytes,
+                source,
+            },
+            _ => RecordingError::Write {
+                target,
+                frames,
+                bytes,
+                source,
+            },
+        },
+        other => RecordingError::Container {
+            target,
+            what: other.to_string(),
+        },
+    }
+}
