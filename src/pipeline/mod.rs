@@ -67,6 +67,9 @@ const PACKETS: usize = 4 + WAITING + 2 * HANDED_OVER;
 /// How often the observer is called.
 const TICK: Duration = Duration::from_millis(100);
 
+/// Without a frame for this long the sink is told so.
+const IDLE: Duration = Duration::from_secs(1);
+
 /// How frames are taken from the source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pace {
@@ -216,7 +219,7 @@ fn run_in_one_thread(
                     shared.sink_step(sink, &mut packet);
                 }
             }
-            Taken::Again => {}
+            Taken::Again => shared.idle_step(sink),
             Taken::End => break,
         }
         colors.write_waiting(sink, shared);
@@ -355,6 +358,7 @@ fn write_all(
                 Ok(image) => colors.write(image, sink, shared),
                 Err(_) => images = never(),
             },
+            default(IDLE) => shared.idle_step(sink),
         }
     }
     colors.finish(sink, shared);

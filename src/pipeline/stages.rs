@@ -64,6 +64,14 @@ pub trait Sink: Send {
         Ok(())
     }
 
+    /// Called about once a second while no frame comes, so that nothing waits in memory.
+    ///
+    /// # Errors
+    /// The output failed; the pipeline then stops.
+    fn idle(&mut self) -> Result<(), StageError> {
+        Ok(())
+    }
+
     /// Closes the output. Called once, at the end, also after a failure.
     ///
     /// # Errors
@@ -340,6 +348,13 @@ impl<'a> Shared<'a> {
                 .guarded(Stage::Sink, color.sequence, || sink.color(color))
                 .is_some();
         locked(&self.statistics).color(written);
+    }
+
+    /// Nothing came for a while.
+    pub(super) fn idle_step(&self, sink: &mut dyn Sink) {
+        if self.hopeless(Stage::Sink).is_none() {
+            let _ = self.guarded(Stage::Sink, 0, || sink.idle());
+        }
     }
 
     /// Closes the output, whatever happened before.
