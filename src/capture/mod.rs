@@ -3,7 +3,11 @@
 //! A source owns its device or folder, fills the buffer it is handed (buffers go round; no
 //! allocation per frame) and reports every loss it can see.
 
+pub mod color;
+pub mod color_image;
+pub mod devices;
 pub mod synthetic;
+pub mod v4l2;
 
 use crate::frame::{Camera, ColorFrame, DepthFrame};
 use std::path::PathBuf;

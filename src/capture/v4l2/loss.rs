@@ -1,0 +1,119 @@
+//! What became of each frame: the driver's sequence numbers, and how long to wait for a silent
+//! camera. Pure decisions; time and numbers are passed in.
+
+use std::time::Duration;
+
+/// Widens the driver's 32-bit frame numbers and counts those it skipped.
+///
+/// Numbers keep growing over a restart of the stream, where the driver begins again at 0.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SequenceCounter {
+    last: Option<u32>,
+    next: u64,
+}
+
+impl SequenceCounter {
+    /// Takes the driver's number of a frame; returns its own number and how many were skipped.
+    ///
+    /// A number that does not grow means the driver began again: the frame is the next one.
+    pub fn accept(&mut self, raw: u32) -> (u64, u64) {
+        let gap = match self.last {
+            None => 0,
+            // A step of more than half the range is a step back.
+            Some(last) => match raw.wrapping_sub(last) {
+                0 => 0,
+                step if step > u32::MAX / 2 => 0,
+                step => u64::from(step - 1),
+            },
+        };
+        self.last = Some(raw);
+        let number = self.next + gap;
+        self.next = number + 1;
+        (number, gap)
+    }
+
+    /// The stream was started anew: the driver's next number says nothing about losses.
+    pub fn restart(&mut self) {
+        self.last = None;
+    }
+}
+
+/// What to do about a camera that sends nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Silence {
+    /// Nothing unusual yet.
+    Wait,
+    /// Worth telling.
+    Tell,
+    /// Start the stream anew.
+    Restart,
+    /// It will not come back.
+    GiveUp,
+}
+
+/// Silence worth telling: three frames of the slowest depth cameras (6 frames/s).
+const TELL_AFTER: Duration = Duration::from_millis(500);
+/// Silence after which the stream is started anew, again and again.
+const RESTART_EVERY: Duration = Duration::from_secs(5);
+/// Restarts that may fail before the camera is given up.
+const RESTARTS: u32 = 3;
+
+/// Judges a silence of `silent` since the last frame, after `restarts` of the stream.
+#[must_use]
+pub fn judge_silence(silent: Duration, restarts: u32, patient: bool) -> Silence {
+    if silent >= RESTART_EVERY * (restarts.saturating_add(1)) {
+        if restarts >= RESTARTS && !patient {
+            Silence::GiveUp
+        } else {
+            Silence::Restart
+        }
+    } else if silent >= TELL_AFTER {
+        Silence::Tell
+    } else {
+        Silence::Wait
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_counted_over_the_wrap_and_not_over_a_restart() {
+        let mut counter = SequenceCounter::default();
+        assert_eq!(
+            counter.accept(7),
+            (0, 0),
+            "the first frame is not after a gap"
+        );
+        assert_eq!(counter.accept(8), (1, 0));
+        assert_eq!(counter.accept(11), (4, 2));
+        counter.restart();
+        assert_eq!(counter.accept(3), (5, 0));
+        let mut counter = SequenceCounter::default();
+        counter.accept(u32::MAX - 1);
+        assert_eq!(counter.accept(1), (3, 2), "MAX and 0 were skipped");
+    }
+
+    #[test]
+    fn a_number_that_does_not_grow_is_the_next_frame() {
+        let mut counter = SequenceCounter::default();
+        counter.accept(50);
+        assert_eq!(counter.accept(50), (1, 0));
+        assert_eq!(counter.accept(0), (2, 0));
+        assert_eq!(counter.accept(1), (3, 0));
+    }
+
+    #[test]
+    fn a_silent_camera_is_told_restarted_then_given_up() {
+        let at = |ms, restarts| judge_silence(Duration::from_millis(ms), restarts, false);
+        assert_eq!(at(499, 0), Silence::Wait);
+        assert_eq!(at(500, 0), Silence::Tell);
+        assert_eq!(at(5_000, 0), Silence::Restart);
+        assert_eq!(at(5_001, 1), Silence::Tell, "one restart per five seconds");
+        assert_eq!(at(15_000, 2), Silence::Restart);
+        assert_eq!(at(20_000, 3), Silence::GiveUp);
+        let patient = judge_silence(Duration::from_secs(20), 3, true);
+        assert_eq!(patient, Silence::Restart);
+    }
+}
