@@ -6,6 +6,7 @@
 pub mod color;
 pub mod color_image;
 pub mod devices;
+pub mod sequences;
 pub mod synthetic;
 pub mod v4l2;
 

@@ -1,0 +1,77 @@
+//! Points and spheres as binary PLY (little endian).
+//!
+//! Written by hand: the `ply-rs-bw` crate keeps each point as a hash map of named properties,
+//! which is far from the 50 ms a VGA frame may take. Our tests read the files with that crate.
+
+use super::{ExportFrame, color};
+use crate::fit::sphere::Sphere;
+
+/// Bytes of one point.
+const POINT: usize = 19;
+/// Where the number of points stands is found by this mark; ten digits are enough for any frame.
+const COUNT_DIGITS: usize = 10;
+
+/// Replaces `file` by the frame's points: `float x y z`, `uchar red green blue`, `int sphere`
+/// (−1 where no sphere explains the point). One pass over the pixels.
+pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
+    file.clear();
+    file.reserve(512 + frame.depth_m.len() * POINT);
+    begin(file, frame);
+    file.extend_from_slice(b"element vertex ");
+    let count_at = file.len();
+    // filled in below; PLY numbers may have leading zeros
+    file.extend_from_slice(&[b'0'; COUNT_DIGITS]);
+    file.extend_from_slice(
+        b"\nproperty float x\nproperty float y\nproperty float z\n\
+          property uchar red\nproperty uchar green\nproperty uchar blue\n\
+          property int sphere\nend_header\n",
+    );
+    let mut count = 0u64;
+    for point in frame.points() {
+        let mut record = [0; POINT];
+        for (bytes, value) in record[..12].chunks_exact_mut(4).zip(point.position.to_array()) {
+            bytes.copy_from_slice(&value.to_le_bytes());
+        }
+        record[12..15].copy_from_slice(&color::of_sphere(point.sphere));
+        record[15..].copy_from_slice(&point.sphere.map_or(-1, i32::from).to_le_bytes());
+        file.extend_from_slice(&record);
+        count += 1;
+    }
+    let digits = format!("{count:0width$}", width = COUNT_DIGITS);
+    file[count_at..count_at + COUNT_DIGITS].copy_from_slice(digits.as_bytes());
+}
+
+/// Replaces `file` by the frame's spheres: centre `float x y z`, `float radius` (metres),
+/// `uchar red green blue`, `int sphere`. A plane has a very large radius.
+pub fn spheres(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
+    file.clear();
+    begin(file, frame);
+    let present = |(slot, sphere): (usize, &Option<Sphere>)| {
+        Some((u16::try_from(slot).ok()?, (*sphere)?))
+    };
+    let count = frame.spheres.iter().enumerate().filter_map(present).count();
+    let header = format!(
+        "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\n\
+         property float radius\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
+         property int sphere\nend_header\n"
+    );
+    file.extend_from_slice(header.as_bytes());
+    for (slot, sphere) in frame.spheres.iter().enumerate().filter_map(present) {
+        let (center, radius) = sphere.center_radius();
+        for value in [center.x, center.y, center.z, radius] {
+            file.extend_from_slice(&(value as f32).to_le_bytes());
+        }
+        file.extend_from_slice(&color::of_sphere(Some(slot)));
+        file.extend_from_slice(&i32::from(slot).to_le_bytes());
+    }
+}
+
+fn begin(file: &mut Vec<u8>, frame: &ExportFrame<'_>) {
+    let text = format!(
+        "ply\nformat binary_little_endian 1.0\n\
+         comment metres, optical frame: x right, y down, z forward\n\
+         comment frame {} device_ns {} wall_ns {}\n",
+        frame.sequence, frame.time.device_ns, frame.time.wall_ns
+    );
+    file.extend_from_slice(text.as_bytes());
+}
