@@ -2,7 +2,7 @@
 //!
 //! Sensor integers survive exactly: Z is `raw · unit` rounded to f32, which is off by at most
 //! 65535·2⁻²⁴ = 0.004 units, and the attribute `depthUnit` says what to divide by. Metres are
-//! what other tools read; whole numbers of units would be 2× smaller on disk and useless to them.
+//! what other tools read; whole numbers of units would be smaller on disk and useless to them.
 //! Compression is ZIP over 16 lines: lossless.
 
 use super::exr_attributes::{ExrAttributes, sort_header};

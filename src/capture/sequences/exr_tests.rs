@@ -180,14 +180,12 @@ fn every_cut_is_an_error_and_no_mutation_panics() {
         assert!(error.to_string().contains("a.exr"), "{error}");
     }
     for at in 0..whole.len().min(1200) {
-        for flip in [0x01, 0x80, 0xff] {
-            let mut damaged = whole.clone();
-            damaged[at] ^= flip;
-            std::fs::write(&path, &damaged).unwrap();
-            if read_exr_depth(&path, ExrChannel::default(), &mut image).is_ok() {
-                let pixels = image.width as usize * image.height as usize;
-                assert_eq!(image.values.len(), pixels);
-            }
+        let mut damaged = whole.clone();
+        damaged[at] ^= [0x01, 0x80, 0xff][at % 3];
+        std::fs::write(&path, &damaged).unwrap();
+        if read_exr_depth(&path, ExrChannel::default(), &mut image).is_ok() {
+            let pixels = image.width as usize * image.height as usize;
+            assert_eq!(image.values.len(), pixels);
         }
     }
 }

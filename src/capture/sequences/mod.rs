@@ -29,8 +29,8 @@ use std::path::{Path, PathBuf};
 
 pub use numbering::natural_order;
 
-/// No depth sensor has more pixels; a file that says so is damaged.
-const MAX_PIXELS: u64 = 1 << 26;
+/// 4096x4096: no depth sensor has more pixels; a file that says so is damaged.
+const MAX_PIXELS: u64 = 1 << 24;
 
 /// What the values of an EXR depth channel measure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
