@@ -210,3 +210,64 @@ fn known_keys() -> String {
     let keys = KEYS.map(|(key, takes)| format!("{key}={takes}"));
     format!("keys are {}", keys.join(", "))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_text_form_sets_every_option() {
+        let parsed = SyntheticOptions::parse(
+            "synthetic:walk,width=848,height=480,fps=90,seed=7,noise=stereo,frames=100,unit=0.0001,\
+         speed=2,cut=9,burst=8,stall=7,prerender=6,paced=false",
+        );
+        let expected = SyntheticOptions {
+            scene: Scene::Walk,
+            width: 848,
+            height: 480,
+            fps: 90.0,
+            seed: 7,
+            noise: NoiseModel::Stereo,
+            frames: Some(100),
+            unit_m: 0.0001,
+            speed: 2.0,
+            cut: 9,
+            burst: 8,
+            stall: 7,
+            prerender: 6,
+            paced: false,
+        };
+        assert_eq!(parsed.expect("parsed"), expected);
+        for (scene, name, _) in Scene::ALL {
+            let parsed = SyntheticOptions::parse(name).expect("a scene");
+            assert_eq!((parsed.scene, scene.name()), (scene, name));
+        }
+        let default = SyntheticOptions::parse("synthetic:").expect("default");
+        assert_eq!(default.scene, Scene::Juggle);
+    }
+
+    #[test]
+    fn wrong_text_is_named_with_what_exists() {
+        for (text, says) in [
+            ("hall", "checkerboard"),
+            ("room,colour=1", "keys are width=pixels"),
+            ("room,noise=lidar", "kinect, stereo, tof"),
+            ("room,width", "not key=value"),
+            ("room,width=-3", "width=-3"),
+            ("room,width=0", "0x480"),
+            ("room,width=100000", "out of range"),
+            ("room,size=3", "WIDTHxHEIGHT"),
+            ("room,fps=nan", "fps=NaN is out of range"),
+            ("room,unit=0", "unit=0 is out of range"),
+            ("room,speed=1e9", "out of range"),
+            ("room,prerender=4000000", "bytes"),
+        ] {
+            match SyntheticOptions::parse(text) {
+                Err(CaptureError::Usage(message)) => {
+                    assert!(message.contains(says), "{text}: {message}");
+                }
+                other => panic!("{text}: {other:?}"),
+            }
+        }
+    }
+}

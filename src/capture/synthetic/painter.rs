@@ -151,7 +151,7 @@ impl Painter {
 fn checkerboard(view: &mut View, width: usize) {
     let pixels = view.inverse_depth.iter_mut().zip(&mut view.surface);
     for (pixel, (w, surface)) in pixels.enumerate() {
-        let near = (pixel % width + pixel / width) % 2 == 0;
+        let near = (pixel % width + pixel / width).is_multiple_of(2);
         *w = if near { 1.0 } else { 0.5 };
         *surface = if near { 1 } else { 2 };
     }

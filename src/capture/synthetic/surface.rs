@@ -93,6 +93,10 @@ impl Pose {
 /// The closed form of one surface seen from one pose. Vectors are in the camera frame and act on
 /// the ray `(u, v, 1)`.
 #[derive(Clone, Copy, Debug)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "one at a time, on the stack: boxing would allocate per surface and frame"
+)]
 pub(super) enum Form {
     /// `w = m·r`
     Plane { m: DVec3 },
