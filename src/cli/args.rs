@@ -284,8 +284,12 @@ pub struct ExportArgs {
     /// Folder for one file per frame, or a file name for a single frame.
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,
-    #[command(flatten)]
-    pub range: RangeArgs,
+    /// First frame, counted from 0.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub from: u64,
+    /// Frames to write at most.
+    #[arg(short = 'n', long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
     /// Replace files that exist.
     #[arg(long)]
     pub overwrite: bool,
@@ -296,6 +300,8 @@ pub struct ExportArgs {
 pub enum ExportArg {
     /// Points with their sphere's number and colour.
     Ply,
+    /// The spheres: centre and radius.
+    Spheres,
     /// Points for PCL.
     Pcd,
     /// Depth in metres, with intrinsics and time.

@@ -19,6 +19,7 @@ mod sink;
 mod source;
 mod status;
 mod synthesize;
+mod tape;
 mod values;
 
 use args::{Arguments, Command};

@@ -18,7 +18,7 @@ use std::time::Duration;
 mod recorded;
 mod repeated;
 
-pub use recorded::{RecordedSource, depth_integers};
+use recorded::RecordedSource;
 use repeated::Repeated;
 
 /// First bytes of every MCAP file.
