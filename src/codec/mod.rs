@@ -1,6 +1,25 @@
 //! The frame payload: a SAINT frame as bytes (`FORMAT.md`).
+//!
+//! Reading order: [`header`], then the four sections [`mask`], [`label_map`], [`sphere_table`],
+//! [`residual`], each a model written once for both directions over the [`range_coder`]; then
+//! [`encoder`] and [`decoder`], which walk them in the same order.
 
 use crate::frame::FrameTime;
+
+pub mod decoder;
+pub mod encoder;
+pub mod grid;
+pub mod header;
+pub mod label_map;
+pub mod mask;
+pub mod range_coder;
+pub mod residual;
+pub mod sphere_table;
+mod state;
+
+pub use decoder::{DecodedFrame, Decoder};
+pub use encoder::{CodecOptions, EncodeReport, Encoder};
+pub use header::Tolerance;
 
 /// One encoded frame, as it is stored or sent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -13,4 +32,58 @@ pub struct EncodedFrame {
     pub key: bool,
     /// The payload's bytes.
     pub payload: Vec<u8>,
+}
+
+/// Why a payload cannot be written or read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CodecError {
+    /// The payload ends early.
+    #[error("payload ends at byte {have}, {need} bytes are needed; the recording is damaged or was cut")]
+    Truncated {
+        /// Bytes that must be there.
+        need: usize,
+        /// Bytes that are there.
+        have: usize,
+    },
+    /// The bytes contradict the format.
+    #[error("payload is damaged at byte {at}: {what}")]
+    Corrupt {
+        /// Offset in the payload.
+        at: usize,
+        /// What is wrong.
+        what: &'static str,
+    },
+    /// The checksum does not match.
+    #[error("payload checksum is {found:08x}, its bytes give {computed:08x}; the recording is damaged")]
+    Checksum {
+        /// As written.
+        found: u32,
+        /// Of the bytes that are there.
+        computed: u32,
+    },
+    /// Another version of the format.
+    #[error("payload is of format version {found}, this program reads version {}; use a newer program", header::VERSION)]
+    Version {
+        /// As written.
+        found: u8,
+    },
+    /// A value beyond the format's limits.
+    #[error("beyond the format's limits: {0}")]
+    Limit(String),
+    /// A P frame without the frame it refers to.
+    #[error("frame {sequence} refers to frame {reference}, which was not decoded before it; start at a key frame")]
+    MissingReference {
+        /// The P frame.
+        sequence: u64,
+        /// The frame it needs.
+        reference: u64,
+    },
+    /// The frame is not of the camera the encoder was made for.
+    #[error("frame has {found} pixels, the camera {expected}")]
+    Size {
+        /// Pixels in the frame.
+        found: usize,
+        /// Pixels of the camera.
+        expected: usize,
+    },
 }

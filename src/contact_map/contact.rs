@@ -12,13 +12,31 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// `distance` in units of `unit_m` metres, less `slack_m` metres (rounding of the source).
+    /// `distance` in units of `unit_m` metres.
     #[must_use]
     pub fn new(distance: &ContactDistance, unit_m: f64) -> Self {
         Self {
             floor: (distance.floor_m / unit_m) as f32,
             growth: (distance.per_z2 * unit_m) as f32,
         }
+    }
+
+    /// True where a measured `raw` touches a surface at depth `predicted` (both depth integers) on
+    /// a ray of squared length `q`.
+    #[inline(always)]
+    #[must_use]
+    pub fn touches(&self, raw: f32, predicted: f32, q: f32) -> bool {
+        let error = raw - predicted;
+        let reach = self.at(raw);
+        error * error * q <= reach * reach
+    }
+
+    /// Step of the residual on a ray of squared length `q`, depth integers: a residual of whole
+    /// steps ends within the floor.
+    #[inline(always)]
+    #[must_use]
+    pub fn step(&self, q: f32) -> i32 {
+        ((2.0 * self.floor / q.sqrt()) as i32).max(1)
     }
 
     /// The largest distance along the ray, in depth integers, at which `raw` still touches.
@@ -58,9 +76,7 @@ pub fn contacts(
             let q = u[i] * u[i] + v * v + 1.0;
             let l = sphere.m.x * u[i] + sphere.m.y * v + sphere.m.z;
             let w = 0.5 * (l + side * (l * l + a4 * q).sqrt());
-            let error = raw - rays.per_metre / w;
-            let reach = reach.at(raw);
-            on[i] = u8::from((error * error * q <= reach * reach) & (raw > 0.0) & (w > 0.0));
+            on[i] = u8::from(reach.touches(raw, rays.per_metre / w, q) & (raw > 0.0) & (w > 0.0));
         }
         // gather one bit of each byte
         let packed = u64::from_le_bytes(on).wrapping_mul(0x0102_0408_1020_4080) >> 56;

@@ -192,15 +192,13 @@ impl Moments {
         if n * (bits_per_point(plane.misfit) - bits_per_point(misfit)) < CURVATURE_BITS {
             return Some(plane);
         }
-        // half a turn of the surface away from the middle the first order no longer holds
-        if k * p >= 0.999 {
-            return Some(plane);
+        let turn = 1.0 - k * p;
+        if turn.abs() < 0.02 {
+            return Some(plane); // seen edge-on: no stable sphere
         }
         let mut sphere = solve(k);
-        // the points lie beyond the tangent cone: the camera sees the far wall
-        let (wm, um, vm) = self.mean();
-        let l = f64::from(sphere.m.x) * um + f64::from(sphere.m.y) * vm + f64::from(sphere.m.z);
-        sphere.far = 2.0 * wm < l;
+        // bent by more than the sphere around the camera: a hollow, seen from outside
+        sphere.far = turn < 0.0;
         Some(Fit { sphere, misfit })
     }
 

@@ -1,0 +1,217 @@
+//! Payloads to depth frames, spheres and contact maps.
+
+use super::header::{Header, Stream};
+use super::range_coder::Decoder as RangeDecoder;
+use super::sphere_table::{self, Support};
+use super::state::{MAX_SPHERES, State, fallback};
+use super::{CodecError, label_map, mask, residual};
+use crate::contact_map::contact::Reach;
+use crate::contact_map::labels::{INVALID, NO_SPHERE};
+use crate::deproject::Rays;
+use crate::fit::sphere::Sphere;
+use crate::frame::{Camera, FrameTime};
+
+/// A decoded frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodedFrame {
+    /// The camera, as far as the payload knows it.
+    pub camera: Camera,
+    /// The source's frame number.
+    pub sequence: u64,
+    /// When the frame was taken.
+    pub time: FrameTime,
+    /// True where the latency budget cut the fit short.
+    pub degraded: bool,
+    /// Planar depth, metres, row-major; 0 where there is no measurement.
+    pub depth_m: Vec<f32>,
+    /// Sphere number of each pixel, `NO_SPHERE` or `INVALID`, row-major.
+    pub labels: Vec<u16>,
+    /// Spheres by number; a number lives from key frame to key frame while its sphere does.
+    pub spheres: Vec<Option<Sphere>>,
+}
+
+impl Default for DecodedFrame {
+    fn default() -> Self {
+        let intrinsics = crate::frame::Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        let camera = Camera { width: 0, height: 0, intrinsics, depth_unit_m: 1.0, invalid: vec![0], depth_min_m: 0.0, depth_max_m: 0.0, fps: None, name: String::new() };
+        Self { camera, sequence: 0, time: FrameTime::default(), degraded: false, depth_m: Vec::new(), labels: Vec::new(), spheres: Vec::new() }
+    }
+}
+
+/// The decoder with its reference frame and buffers.
+///
+/// Memory is bounded by the frame size the last key frame named (at most 2²³ pixels, about 30
+/// bytes each); time by the same. No bytes make it panic.
+#[derive(Debug, Default)]
+pub struct Decoder {
+    stream: Option<(Stream, Rays, Reach)>,
+    state: State,
+    last_sequence: Option<u64>,
+    frame: DecodedFrame,
+}
+
+impl Decoder {
+    /// A decoder that waits for a key frame.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Decodes one payload.
+    ///
+    /// # Errors
+    /// [`CodecError`]; after one the decoder waits for the next key frame.
+    pub fn decode(&mut self, payload: &[u8]) -> Result<&DecodedFrame, CodecError> {
+        let reference = self.last_sequence.take();
+        let body = payload.len().checked_sub(4).ok_or(CodecError::Truncated { need: 4, have: payload.len() })?;
+        let (bytes, checksum) = payload.split_at(body);
+        let found = u32::from_le_bytes([checksum[0], checksum[1], checksum[2], checksum[3]]);
+        let (header, sections) = Header::read(bytes)?;
+        let computed = crc32fast::hash(bytes);
+        if found != computed {
+            return Err(CodecError::Checksum { found, computed });
+        }
+        let key = header.stream.is_some();
+        if let Some(stream) = header.stream {
+            if self.stream.as_ref().is_none_or(|(s, ..)| *s != stream) {
+                let camera = stream.camera();
+                let reach = Reach::new(&stream.tolerance.contact, stream.depth_unit_m);
+                self.stream = Some((stream, Rays::new(&camera), reach));
+                self.frame.camera = camera;
+                self.state = State::default();
+            }
+        } else if reference != Some(header.reference) {
+            return Err(CodecError::MissingReference { sequence: header.sequence, reference: header.reference });
+        }
+        let Some((stream, rays, reach)) = &self.stream else {
+            return Err(CodecError::MissingReference { sequence: header.sequence, reference: header.reference });
+        };
+        let state = &mut self.state;
+        state.begin(rays, key);
+        read_sections(state, rays, key, sections)?;
+        state.predict(rays);
+        rebuild(state, rays, key, sections[3], stream.tolerance.lossless, reach)?;
+        write_frame(&mut self.frame, state, rays, stream, reach);
+        self.frame.sequence = header.sequence;
+        self.frame.time = header.time;
+        self.frame.degraded = header.degraded;
+        self.last_sequence = Some(header.sequence);
+        Ok(&self.frame)
+    }
+}
+
+fn overrun(coder: &RangeDecoder<'_>) -> Result<(), CodecError> {
+    if coder.overran() {
+        return Err(CodecError::Corrupt { at: 0, what: "a section ends early" });
+    }
+    Ok(())
+}
+
+/// Mask, contact map and spheres.
+fn read_sections(state: &mut State, rays: &Rays, key: bool, sections: [&[u8]; 4]) -> Result<(), CodecError> {
+    let State { models, now, before, new, supports, .. } = state;
+    let past = (!key).then_some(&*before);
+    let mut coder = RangeDecoder::new(sections[0]);
+    mask::code(&mut coder, &mut models.mask, rays, &mut now.mask, past.map(|b| &b.mask));
+    overrun(&coder)?;
+    let mut coder = RangeDecoder::new(sections[1]);
+    let past_map = past.map(|b| &b.map);
+    label_map::code_palettes(&mut coder, &mut models.labels, rays, &now.mask, &mut now.map, past_map, new, MAX_SPHERES)
+        .map_err(|_| CodecError::Corrupt { at: 0, what: "a block names a sphere that does not exist" })?;
+    label_map::code_pixels(&mut coder, &mut models.labels, rays, &now.mask, &mut now.map, past_map);
+    overrun(&coder)?;
+    let mut coder = RangeDecoder::new(sections[2]);
+    Support::gather(rays, &now.map, new.bound(), supports);
+    now.entries.resize(new.bound(), None);
+    let mut last = None;
+    for (number, support) in supports.iter().enumerate() {
+        if !support.is_nowhere() {
+            let before = before.entries.get(number).copied().flatten();
+            now.entries[number] = Some(sphere_table::code_entry(&mut coder, &mut models.spheres, rays, support, None, before, &mut last));
+        }
+    }
+    overrun(&coder)
+}
+
+/// Residuals onto the predictions. Pixels rebuilt from a residual lose `predicted` (set to 0): their
+/// depth is the integer.
+fn rebuild(state: &mut State, rays: &Rays, key: bool, section: &[u8], lossless: bool, reach: &Reach) -> Result<(), CodecError> {
+    let State { models, now, before, predicted, rebuilt, k: plane, .. } = state;
+    plane.reset(rays, 0);
+    let mut coder = RangeDecoder::new(section);
+    residual::code_blocks(&mut coder, &mut models.residual, rays, &now.map.sizes, &mut now.active, (!key).then_some(&before.active));
+    let mut last = 0u16;
+    // blocks without a sphere are rebuilt pixel from pixel even where every k is 0
+    let walk: Vec<bool> = now.active.iter().zip(&now.map.palettes).zip(&now.map.sizes).map(|((&a, p), &n)| a || p[..usize::from(n)].contains(&NO_SPHERE)).collect();
+    residual::for_each_pixel(rays, &now.mask, &walk, |x, y, i| {
+        let label = now.map.pixels.cells()[i];
+        let block = y / crate::deproject::BLOCK * rays.block_columns + x / crate::deproject::BLOCK;
+        let k = if now.active[block] { residual::code_pixel(&mut coder, &mut models.residual, plane, i, 0) } else { 0 };
+        plane.cells_mut()[i] = k;
+        if k == 0 && label != NO_SPHERE {
+            return;
+        }
+        let base = if label == NO_SPHERE { fallback(&now.mask.pixels, rebuilt, i, last) } else { rebuilt.cells()[i] };
+        let (u, v) = (rays.u[x], rays.v[y]);
+        let step = if lossless { 1 } else { reach.step(u * u + v * v + 1.0) };
+        let back = (i32::from(base) + k.saturating_mul(step)).clamp(1, 65535) as u16;
+        rebuilt.cells_mut()[i] = back;
+        if !lossless {
+            predicted.cells_mut()[i] = 0.0;
+        }
+        if label == NO_SPHERE {
+            last = back;
+        }
+    });
+    overrun(&coder)
+}
+
+/// Planes to the public frame.
+fn write_frame(frame: &mut DecodedFrame, state: &State, rays: &Rays, stream: &Stream, reach: &Reach) {
+    let State { now, predicted, rebuilt, .. } = state;
+    let (width, height) = (rays.width, rays.height);
+    frame.depth_m.resize(width * height, 0.0);
+    frame.labels.resize(width * height, INVALID);
+    let unit = stream.depth_unit_m;
+    let single = unit as f32;
+    let lossless = stream.tolerance.lossless;
+    for y in 0..height {
+        let start = now.mask.pixels.index(0, y);
+        let on = &now.mask.pixels.cells()[start..start + width];
+        let label = &now.map.pixels.cells()[start..start + width];
+        let smooth = &predicted.cells()[start..start + width];
+        let whole = &rebuilt.cells()[start..start + width];
+        let depth = &mut frame.depth_m[y * width..(y + 1) * width];
+        let labels = &mut frame.labels[y * width..(y + 1) * width];
+        if lossless {
+            let v = rays.v[y];
+            for x in 0..width {
+                let q = rays.u[x] * rays.u[x] + v * v + 1.0;
+                let touches = reach.touches(f32::from(whole[x]), smooth[x], q);
+                depth[x] = if on[x] != 0 { (f64::from(whole[x]) * unit) as f32 } else { 0.0 };
+                labels[x] = if on[x] == 0 {
+                    INVALID
+                } else if touches {
+                    label[x]
+                } else {
+                    NO_SPHERE
+                };
+            }
+        } else {
+            for x in 0..width {
+                let rounded = !(smooth[x] > 0.0 && smooth[x] < 1e9);
+                let z = if rounded { f32::from(whole[x]) * single } else { smooth[x] * single };
+                depth[x] = if on[x] != 0 { z } else { 0.0 };
+                labels[x] = if on[x] == 0 {
+                    INVALID
+                } else if rounded {
+                    NO_SPHERE
+                } else {
+                    label[x]
+                };
+            }
+        }
+    }
+    frame.spheres.clear();
+    frame.spheres.extend(now.entries.iter().map(|e| e.map(|e| e.sphere)));
+}

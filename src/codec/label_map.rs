@@ -1,0 +1,287 @@
+//! Section *labels*: the contact map.
+//!
+//! Each block has a palette of one to four spheres, most of them repeated from the blocks around
+//! or from the last frame and coded as "the n-th candidate". The pixels of blocks with more than
+//! one sphere follow in raster order, each as "this palette entry or a later one" under the labels
+//! of four decoded neighbours and the last frame's.
+
+use super::grid::Plane;
+use super::mask::{Fill, Mask, extent};
+use super::range_coder::{Bit, Coder};
+use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
+use crate::contact_map::labels::NO_SPHERE;
+use crate::deproject::{BLOCK, Rays};
+
+/// Most candidates a palette entry is looked for among.
+const LIST: usize = 16;
+
+/// Learnt models of the section.
+#[derive(Clone, Debug)]
+pub struct Models {
+    more: Vec<Bit>,
+    candidate: Vec<Bit>,
+    none: [Bit; 2],
+    new: [Bit; 2],
+    pixel: Vec<Bit>,
+}
+
+impl Default for Models {
+    fn default() -> Self {
+        Self {
+            more: vec![Bit::default(); 3 * 16],
+            candidate: vec![Bit::default(); 8 * 2 * 8],
+            none: Default::default(),
+            new: Default::default(),
+            pixel: vec![Bit::default(); 3 * 243],
+        }
+    }
+}
+
+/// A frame's contact map: palettes of blocks and labels of pixels, by sphere number.
+#[derive(Clone, Debug, Default)]
+pub struct LabelMap {
+    /// One for each block; [`NO_SPHERE`] is a palette entry like any other in a block that has
+    /// measurements but no sphere.
+    pub palettes: Vec<Palette>,
+    /// Entries in each palette; 0 for an empty block.
+    pub sizes: Vec<u8>,
+    /// Label of each measured pixel. Pixels without a measurement hold the label to their left.
+    pub pixels: Plane<u16>,
+}
+
+impl LabelMap {
+    /// An empty map over `rays`.
+    pub fn reset(&mut self, rays: &Rays) {
+        self.palettes.clear();
+        self.palettes.resize(rays.blocks(), EMPTY);
+        self.sizes.clear();
+        self.sizes.resize(rays.blocks(), 0);
+        self.pixels.reset(rays, NO_SPHERE);
+    }
+}
+
+/// Numbers given to spheres that appear for the first time: the lowest not in use.
+#[derive(Clone, Debug, Default)]
+pub struct NewNumbers {
+    taken: Vec<bool>,
+    next: usize,
+    given: usize,
+}
+
+impl NewNumbers {
+    /// `taken[n]` is true where number n is a sphere of the reference frame.
+    pub fn reset(&mut self, taken: impl Iterator<Item = bool>) {
+        self.taken.clear();
+        self.taken.extend(taken);
+        self.next = 0;
+        self.given = 0;
+    }
+
+    /// One more than the highest number in use, in the reference frame or given away since.
+    #[must_use]
+    pub fn bound(&self) -> usize {
+        self.taken.len().max(self.given)
+    }
+
+    /// The number the next new sphere gets.
+    pub fn peek(&mut self) -> usize {
+        while self.taken.get(self.next).copied().unwrap_or(false) {
+            self.next += 1;
+        }
+        self.next
+    }
+
+    /// Gives the number away.
+    pub fn take(&mut self) -> usize {
+        let n = self.peek();
+        self.next += 1;
+        self.given = self.given.max(n + 1);
+        n
+    }
+}
+
+/// The candidates of one palette entry and how many of (west, north, past) hold each.
+struct List {
+    ids: [u16; LIST],
+    votes: [u8; LIST],
+    len: usize,
+}
+
+impl List {
+    fn add(&mut self, id: u16, vote: u8) {
+        if let Some(k) = self.ids[..self.len].iter().position(|&i| i == id) {
+            self.votes[k] |= vote;
+        } else if self.len < LIST {
+            self.ids[self.len] = id;
+            self.votes[self.len] = vote;
+            self.len += 1;
+        }
+    }
+
+    fn gather(map: &LabelMap, before: Option<&LabelMap>, columns: usize, k: usize) -> Self {
+        let mut list = Self { ids: [NO_SPHERE; LIST], votes: [0; LIST], len: 0 };
+        let mut all = |m: &LabelMap, k: usize, vote: u8| {
+            for &id in &m.palettes[k][..usize::from(m.sizes[k])] {
+                list.add(id, vote);
+            }
+        };
+        if let Some(b) = before {
+            all(b, k, 1);
+        }
+        let (x, blocks) = (k % columns, map.sizes.len());
+        if x > 0 {
+            all(map, k - 1, 2);
+        }
+        if k >= columns {
+            all(map, k - columns, 4);
+            if x + 1 < columns {
+                all(map, k - columns + 1, 0);
+            }
+            if x > 0 {
+                all(map, k - columns - 1, 0);
+            }
+        }
+        if let Some(b) = before {
+            for (there, n) in [(x + 1 < columns, k + 1), (k + columns < blocks, k + columns), (x > 0, k.wrapping_sub(1)), (k >= columns, k.wrapping_sub(columns))] {
+                if there {
+                    all(b, n, 0);
+                }
+            }
+        }
+        list
+    }
+}
+
+/// A palette that names a sphere that cannot be: damaged bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoSuchSphere(pub u32);
+
+/// Codes the palettes. Numbers of new spheres come from `new` (reset to the reference frame's), all
+/// below `limit`.
+///
+/// # Errors
+/// [`NoSuchSphere`] where the bytes name a number beyond `limit` (decoding only).
+#[allow(clippy::too_many_arguments)] // one section's whole state
+pub fn code_palettes<C: Coder>(
+    coder: &mut C,
+    models: &mut Models,
+    rays: &Rays,
+    mask: &Mask,
+    map: &mut LabelMap,
+    before: Option<&LabelMap>,
+    new: &mut NewNumbers,
+    limit: usize,
+) -> Result<(), NoSuchSphere> {
+    let columns = rays.block_columns;
+    for k in 0..rays.blocks() {
+        if mask.fills[k] == Fill::Empty {
+            continue;
+        }
+        let west = if k % columns > 0 { map.sizes[k - 1] } else { 1 };
+        let north = if k >= columns { map.sizes[k - columns] } else { 1 };
+        let past = before.map_or(1, |b| b.sizes[k]);
+        let context = usize::from(west > 1) | usize::from(north > 1) << 1 | usize::from(past > 1) << 2 | usize::from(mask.fills[k] == Fill::Mixed) << 3;
+        let size = usize::from(map.sizes[k]);
+        let mut n = 1;
+        while n < PALETTE && coder.bit(&mut models.more[(n - 1) * 16 + context], n < size) {
+            n += 1;
+        }
+        map.sizes[k] = n as u8;
+        let list = List::gather(map, before, columns, k);
+        let mut tried = [false; LIST];
+        for entry in 0..n {
+            let id = map.palettes[k][entry];
+            let mut found = None;
+            let mut rank = 0usize;
+            for c in 0..list.len {
+                if tried[c] {
+                    continue;
+                }
+                let model = &mut models.candidate[(rank.min(7) * 2 + usize::from(entry > 0)) * 8 + usize::from(list.votes[c])];
+                if coder.bit(model, list.ids[c] == id) {
+                    found = Some(c);
+                    break;
+                }
+                rank += 1;
+            }
+            let first = usize::from(entry > 0);
+            map.palettes[k][entry] = if let Some(c) = found {
+                tried[c] = true;
+                list.ids[c]
+            } else if coder.bit(&mut models.none[first], id == NO_SPHERE) {
+                NO_SPHERE
+            } else if new.bound() == 0 || coder.bit(&mut models.new[first], usize::from(id) == new.peek()) {
+                let number = new.take();
+                if number >= limit {
+                    return Err(NoSuchSphere(number as u32));
+                }
+                number as u16
+            } else {
+                let bound = new.bound();
+                let width = usize::BITS - (bound - 1).leading_zeros();
+                let number = coder.plain(width, u32::from(id));
+                if number as usize >= bound {
+                    return Err(NoSuchSphere(number));
+                }
+                number as u16
+            };
+        }
+    }
+    Ok(())
+}
+
+/// Codes the label of each measured pixel.
+pub fn code_pixels<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, mask: &Mask, map: &mut LabelMap, before: Option<&LabelMap>) {
+    let columns = rays.block_columns;
+    for k in 0..rays.blocks() {
+        if map.sizes[k] == 1 {
+            let (x0, y0, w, h) = extent(rays, k);
+            for j in 0..h {
+                let start = map.pixels.index(x0, y0 + j);
+                let id = map.palettes[k][0];
+                map.pixels.cells_mut()[start..start + w].fill(id);
+            }
+        }
+    }
+    let stride = map.pixels.stride();
+    for y in 0..rays.height {
+        for bx in 0..columns {
+            let k = y / BLOCK * columns + bx;
+            let size = usize::from(map.sizes[k]);
+            if size < 2 {
+                continue;
+            }
+            let palette = map.palettes[k];
+            let start = map.pixels.index(bx * BLOCK, y);
+            for i in start..start + BLOCK.min(rays.width - bx * BLOCK) {
+                let cells = map.pixels.cells();
+                if mask.pixels.cells()[i] == 0 {
+                    let left = cells[i - 1];
+                    map.pixels.cells_mut()[i] = left;
+                    continue;
+                }
+                let value = cells[i];
+                let near = [cells[i - 1], cells[i - stride], cells[i - stride - 1], cells[i - stride + 1], before.map_or(NO_SPHERE, |b| b.pixels.cells()[i])];
+                let mut entry = 0;
+                while entry + 1 < size {
+                    let this = palette[entry];
+                    let context = near.iter().fold(0usize, |c, &n| {
+                        c * 3
+                            + if n == this {
+                                0
+                            } else if palette[entry + 1..size].contains(&n) {
+                                1
+                            } else {
+                                2
+                            }
+                    });
+                    if coder.bit(&mut models.pixel[entry * 243 + context], value == this) {
+                        break;
+                    }
+                    entry += 1;
+                }
+                map.pixels.cells_mut()[i] = palette[entry];
+            }
+        }
+    }
+}
