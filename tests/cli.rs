@@ -50,17 +50,21 @@ fn json(text: &str) -> serde_json::Value {
 #[track_caller]
 fn record(path: &Path, frames: u32) {
     let device = camera(frames);
-    run(
-        ["--device", &device, "-q", "-o", path.to_str().unwrap()],
-        0,
-    );
+    run(["--device", &device, "-q", "-o", path.to_str().unwrap()], 0);
 }
 
 #[test]
 fn help_names_the_commands_and_the_exit_codes() {
     let (help, _) = run(["--help"], 0);
     for word in [
-        "replay", "play", "export", "info", "bench", "devices", "synthesize", "completions",
+        "replay",
+        "play",
+        "export",
+        "info",
+        "bench",
+        "devices",
+        "synthesize",
+        "completions",
         "Exit codes",
     ] {
         assert!(help.contains(word), "no `{word}` in {help}");
@@ -78,12 +82,36 @@ fn wrong_usage_ends_with_2_and_says_how() {
         (vec!["replay"], "INPUT"),
         (vec!["-n", "5"], "--device"),
         (vec!["--device", "synthetic:nowhere"], "nowhere"),
-        (vec!["--device", "synthetic:room", "--max-error", "5 apples"], "5mm"),
-        (vec!["--device", "synthetic:room", "--budget", "soon"], "33ms"),
-        (vec!["--device", "synthetic:room", "--threads", "0"], "threads"),
-        (vec!["--device", "synthetic:room", "--intrinsics", "1,2,3,4"], "--intrinsics"),
-        (vec!["--device", "synthetic:room", "--lossless", "--max-error", "5mm"], "--max-error"),
-        (vec!["--device", "synthetic:room", "-o", "-", "--stats", "json"], "standard output"),
+        (
+            vec!["--device", "synthetic:room", "--max-error", "5 apples"],
+            "5mm",
+        ),
+        (
+            vec!["--device", "synthetic:room", "--budget", "soon"],
+            "33ms",
+        ),
+        (
+            vec!["--device", "synthetic:room", "--threads", "0"],
+            "threads",
+        ),
+        (
+            vec!["--device", "synthetic:room", "--intrinsics", "1,2,3,4"],
+            "--intrinsics",
+        ),
+        (
+            vec![
+                "--device",
+                "synthetic:room",
+                "--lossless",
+                "--max-error",
+                "5mm",
+            ],
+            "--max-error",
+        ),
+        (
+            vec!["--device", "synthetic:room", "-o", "-", "--stats", "json"],
+            "standard output",
+        ),
         (vec!["replay", "x", "--from", "5", "--to", "5"], "--from"),
         (vec!["replay", "x", "--intrinsics", "1,2,3"], "intrinsics"),
         (vec!["-q", "-v", "devices"], "--verbose"),
@@ -112,9 +140,16 @@ fn a_missing_device_ends_with_3() {
 
 #[test]
 fn completions_are_scripts_for_each_shell() {
-    for (shell, has) in [("bash", "complete"), ("zsh", "#compdef"), ("fish", "complete -c")] {
+    for (shell, has) in [
+        ("bash", "complete"),
+        ("zsh", "#compdef"),
+        ("fish", "complete -c"),
+    ] {
         let (script, _) = run(["completions", shell], 0);
-        assert!(script.contains(has) && script.contains("saint-live"), "{shell}");
+        assert!(
+            script.contains(has) && script.contains("saint-live"),
+            "{shell}"
+        );
     }
 }
 
@@ -125,11 +160,26 @@ fn a_synthetic_camera_runs_live() {
     let last = json(stdout.lines().last().unwrap());
     assert_eq!(last["final"], true, "{stdout}");
     let written = last["frames"].as_u64().unwrap();
-    let drops: u64 = last["drops"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
-    assert_eq!(last["sensor_frames"].as_u64().unwrap(), written + drops, "{stdout}");
-    assert!(written >= 1 && last["points_per_frame"].as_f64().unwrap() > 1000.0, "{stdout}");
+    let drops: u64 = last["drops"]
+        .as_object()
+        .unwrap()
+        .values()
+        .map(|v| v.as_u64().unwrap())
+        .sum();
+    assert_eq!(
+        last["sensor_frames"].as_u64().unwrap(),
+        written + drops,
+        "{stdout}"
+    );
+    assert!(
+        written >= 1 && last["points_per_frame"].as_f64().unwrap() > 1000.0,
+        "{stdout}"
+    );
     let first = stderr.lines().next().unwrap();
-    assert!(first.contains("80x60") && first.contains("fx") && first.contains("mm"), "{first}");
+    assert!(
+        first.contains("80x60") && first.contains("fx") && first.contains("mm"),
+        "{first}"
+    );
     assert!(stderr.contains("coverage"), "{stderr}");
 }
 
@@ -140,7 +190,10 @@ fn statistics_have_a_header_and_one_field_each_as_csv() {
     let lines: Vec<_> = stdout.lines().collect();
     assert!(lines.len() >= 2, "{stdout}");
     let fields = |line: &str| line.split(',').count();
-    assert!(lines.iter().all(|line| fields(line) == fields(lines[0])), "{stdout}");
+    assert!(
+        lines.iter().all(|line| fields(line) == fields(lines[0])),
+        "{stdout}"
+    );
 }
 
 #[test]
@@ -158,7 +211,10 @@ fn an_existing_output_is_kept_unless_overwritten() {
     let device = camera(3);
     let name = path.to_str().unwrap();
     let (_, stderr) = run(["--device", &device, "-o", name], 2);
-    assert!(stderr.contains(name) && stderr.contains("--overwrite"), "{stderr}");
+    assert!(
+        stderr.contains(name) && stderr.contains("--overwrite"),
+        "{stderr}"
+    );
     assert_eq!(std::fs::read(&path).unwrap(), b"precious");
     run(["--device", &device, "-o", name, "--overwrite"], 0);
     let (info, _) = run(["info", name, "--json"], 0);
@@ -179,7 +235,10 @@ fn threads_do_not_change_the_recording() {
     let payloads = |threads: &str| {
         let path = folder.path().join(format!("{threads}.mcap"));
         let name = path.to_str().unwrap();
-        run(["--device", &device, "-q", "--threads", threads, "-o", name], 0);
+        run(
+            ["--device", &device, "-q", "--threads", threads, "-o", name],
+            0,
+        );
         let mut reader = saint_live::recording::RecordingReader::open(&path).unwrap();
         let mut frame = saint_live::codec::EncodedFrame::default();
         let mut all = Vec::new();
@@ -190,7 +249,10 @@ fn threads_do_not_change_the_recording() {
     };
     let one = payloads("1");
     assert_eq!(one.len(), 12);
-    assert!(one == payloads("3"), "payloads differ between 1 and 3 threads");
+    assert!(
+        one == payloads("3"),
+        "payloads differ between 1 and 3 threads"
+    );
 }
 
 #[test]
@@ -212,20 +274,36 @@ fn info_and_play_and_replay_read_what_was_recorded() {
     let name = path.to_str().unwrap();
     let (info, _) = run(["info", name, "--json"], 0);
     let info = json(&info);
-    assert_eq!((&info["frames"], &info["width"], &info["height"]), (&6.into(), &80.into(), &60.into()));
+    assert_eq!(
+        (&info["frames"], &info["width"], &info["height"]),
+        (&6.into(), &80.into(), &60.into())
+    );
     assert_eq!(info["cut"], false);
     for key in ["duration_s", "channels"] {
         assert!(!info[key].is_null(), "no {key}: {info}");
     }
     let (text, _) = run(["info", name], 0);
-    assert!(text.contains("6 frames") && text.contains("80x60"), "{text}");
+    assert!(
+        text.contains("6 frames") && text.contains("80x60"),
+        "{text}"
+    );
     let (played, _) = run(["play", name, "--stats", "--speed", "50"], 0);
     let played = json(&played);
     let (shown, skipped) = (played["shown"].as_u64(), played["skipped"].as_u64());
     assert_eq!(shown.zip(skipped).map(|(a, b)| a + b), Some(6), "{played}");
-    let (stats, _) = run(["replay", name, "--from", "2", "--to", "5", "--stats", "json", "-q"], 0);
+    let (stats, _) = run(
+        [
+            "replay", name, "--from", "2", "--to", "5", "--stats", "json", "-q",
+        ],
+        0,
+    );
     assert_eq!(json(stats.lines().last().unwrap())["frames"], 3, "{stats}");
-    let (stats, _) = run(["replay", name, "--loop", "-n", "20", "--stats", "json", "-q"], 0);
+    let (stats, _) = run(
+        [
+            "replay", name, "--loop", "-n", "20", "--stats", "json", "-q",
+        ],
+        0,
+    );
     assert_eq!(json(stats.lines().last().unwrap())["frames"], 20, "{stats}");
 }
 
@@ -267,7 +345,12 @@ fn export_writes_each_form_and_never_over_another() {
     let one = one.to_str().unwrap();
     let (_, stderr) = run(["export", name, "--to", "png", "-o", one], 2);
     assert!(stderr.contains("--from"), "{stderr}");
-    run(["export", name, "--to", "png", "-o", one, "--from", "2", "-n", "1"], 0);
+    run(
+        [
+            "export", name, "--to", "png", "-o", one, "--from", "2", "-n", "1",
+        ],
+        0,
+    );
     assert!(Path::new(one).is_file());
 }
 
@@ -282,26 +365,57 @@ fn synthesize_bench_and_trace() {
     let (bench, _) = run(["bench", scene, "--json", "-n", "6"], 0);
     let bench = json(&bench);
     for key in [
-        "/frames", "/points_per_frame", "/spheres_per_frame", "/coverage", "/residual_mm/mean",
-        "/residual_mm/p99", "/residual_mm/max", "/bits_per_valid_px", "/encode_ms/p50",
-        "/encode_ms/p99", "/decode_ms/p50", "/decode_ms/p99", "/stage_ms/model/p50", "/rss_mb",
-        "/threads", "/cold_ms/p50", "/warm_ms/p50", "/machine/cpu", "/version",
+        "/frames",
+        "/points_per_frame",
+        "/spheres_per_frame",
+        "/coverage",
+        "/residual_mm/mean",
+        "/residual_mm/p99",
+        "/residual_mm/max",
+        "/bits_per_valid_px",
+        "/encode_ms/p50",
+        "/encode_ms/p99",
+        "/decode_ms/p50",
+        "/decode_ms/p99",
+        "/stage_ms/model/p50",
+        "/rss_mb",
+        "/threads",
+        "/cold_ms/p50",
+        "/warm_ms/p50",
+        "/machine/cpu",
+        "/version",
     ] {
-        assert!(bench.pointer(key).is_some_and(|v| !v.is_null()), "no {key}: {bench}");
+        assert!(
+            bench.pointer(key).is_some_and(|v| !v.is_null()),
+            "no {key}: {bench}"
+        );
     }
     assert_eq!(bench["frames"], 6);
     let trace = folder.path().join("t.json");
     let trace = trace.to_str().unwrap();
     run(["replay", scene, "--trace", trace, "-q"], 0);
     let events = json(&std::fs::read_to_string(trace).unwrap());
-    let spans = events.as_array().unwrap().iter().filter(|e| e["ph"] == "X").count();
+    let spans = events
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|e| e["ph"] == "X")
+        .count();
     assert_eq!(spans, 4 * 4, "{events}");
 }
 
 #[test]
 fn a_missed_budget_ends_with_6_only_under_strict() {
     let device = camera(5);
-    let impossible = ["--device", &device, "-q", "--budget", "1us", "--on-late", "wait"];
+    let impossible = [
+        "--device",
+        &device,
+        "-q",
+        "--budget",
+        "1us",
+        "--on-late",
+        "wait",
+    ];
     run(impossible, 0);
     let (_, stderr) = run(impossible.iter().chain(&["--strict"]), 6);
     assert!(stderr.contains("budget missed"), "{stderr}");
@@ -313,7 +427,13 @@ fn a_signal_finishes_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.mcap");
     let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_saint-live"))
-        .args(["--device", "synthetic:room,size=80x60,fps=100", "--stats", "json", "-o"])
+        .args([
+            "--device",
+            "synthetic:room,size=80x60,fps=100",
+            "--stats",
+            "json",
+            "-o",
+        ])
         .arg(&path)
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::null())
@@ -324,7 +444,10 @@ fn a_signal_finishes_the_file() {
     let mut out = std::io::BufReader::new(child.stdout.take().unwrap());
     std::io::BufRead::read_line(&mut out, &mut line).unwrap();
     let id = child.id().to_string();
-    std::process::Command::new("kill").args(["-INT", &id]).status().unwrap();
+    std::process::Command::new("kill")
+        .args(["-INT", &id])
+        .status()
+        .unwrap();
     let mut rest = String::new();
     std::io::Read::read_to_string(&mut out, &mut rest).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(0), "{line}{rest}");
@@ -339,12 +462,25 @@ fn a_signal_finishes_the_file() {
 #[test]
 fn a_reader_that_goes_away_is_a_clean_end() {
     let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_saint-live"))
-        .args(["--device", "synthetic:room,size=80x60,paced=false", "-n", "100000", "-q", "-o", "-"])
+        .args([
+            "--device",
+            "synthetic:room,size=80x60,paced=false",
+            "-n",
+            "100000",
+            "-q",
+            "-o",
+            "-",
+        ])
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
     drop(child.stdout.take());
     let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(
+        output.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }

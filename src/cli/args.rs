@@ -132,7 +132,7 @@ pub struct EngineArgs {
     /// Most spheres at a time.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=65000))]
     pub max_spheres: Option<u16>,
-    /// A payload that decodes alone at least every N frames.
+    /// A payload that decodes alone at least every N frames [default: 30].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub keyframe_every: Option<u32>,
     /// Threads; 1 does everything in one, with the same output.

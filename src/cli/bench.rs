@@ -114,7 +114,13 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
     }
     let loaded: usize = frames.iter().map(|f| f.depth.len() * 2).sum();
     let per_frame = |sum: u64| sum as f64 / warm.frames.max(1) as f64;
-    let share = |part: u64, of: u64| if of == 0 { 0.0 } else { part as f64 / of as f64 };
+    let share = |part: u64, of: u64| {
+        if of == 0 {
+            0.0
+        } else {
+            part as f64 / of as f64
+        }
+    };
     let um = |q: f64| warm.errors.value_at_quantile(q) as f64 * 1e-3;
     let results = Results {
         input: args.input.display().to_string(),
@@ -153,7 +159,8 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
         version: env!("CARGO_PKG_VERSION"),
     };
     if args.json {
-        let mut text = serde_json::to_string(&results).map_err(|e| Failure::new(Kind::Failure, e))?;
+        let mut text =
+            serde_json::to_string(&results).map_err(|e| Failure::new(Kind::Failure, e))?;
         text.push('\n');
         super::write_data(text.as_bytes())
     } else {
@@ -187,7 +194,9 @@ fn load(args: &BenchArgs) -> Result<(Camera, Vec<DepthFrame>), Failure> {
         ));
     }
     if frames.len() == most && (most as u64) < args.frames {
-        message::say(&format!("only {most} frames fit in memory; they are repeated"));
+        message::say(&format!(
+            "only {most} frames fit in memory; they are repeated"
+        ));
     }
     Ok((camera, frames))
 }
@@ -214,13 +223,13 @@ fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold,
     let step = frames.len().div_ceil(COLD_FRAMES);
     for frame in frames.iter().step_by(step) {
         let mut model = LiveModel::new(camera, engine);
-        let mut encode = LiveEncode::new(camera, engine).unsampled();
+        let mut encode = LiveEncode::new(camera, engine)?.unsampled();
         let start = Monotonic.now_ns();
         let report = model
             .model(frame, &mut saint, &|| false)
             .map_err(stage_failed)?;
         encode
-            .encode(frame, &saint, &mut encoded)
+            .encode(frame, &saint, &report, &mut encoded)
             .map_err(stage_failed)?;
         cold.both.record_ns(Monotonic.now_ns() - start);
         cold.bytes += encoded.payload.len() as u64;
@@ -280,7 +289,8 @@ impl Warm {
                 continue;
             }
             let error_mm = (f64::from(raw) * unit - f64::from(z)).abs() * 1e3;
-            self.errors.saturating_record((error_mm * 1e3).round() as u64);
+            self.errors
+                .saturating_record((error_mm * 1e3).round() as u64);
             self.error_sum_mm += error_mm;
             self.error_max_mm = self.error_max_mm.max(error_mm);
         }
@@ -299,13 +309,16 @@ fn warm(
     let mut warm = Warm::new()?;
     let validity = Validity::new(camera);
     let mut model = LiveModel::new(camera, engine);
-    let mut encode = LiveEncode::new(camera, engine).unsampled();
+    let mut encode = LiveEncode::new(camera, engine)?.unsampled();
     let mut decoder = Decoder::new();
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     // the first frame is a cold one: it warms up and is not counted
     for n in 0..=count {
         if stop.load(Ordering::Relaxed) {
-            return Err(Failure::new(Kind::Failure, "stopped before the bench was done"));
+            return Err(Failure::new(
+                Kind::Failure,
+                "stopped before the bench was done",
+            ));
         }
         let frame = &mut frames[forth_and_back(n, frames.len())];
         frame.sequence = n;
@@ -315,7 +328,7 @@ fn warm(
             .map_err(stage_failed)?;
         let modelled = Monotonic.now_ns();
         encode
-            .encode(frame, &saint, &mut encoded)
+            .encode(frame, &saint, &report, &mut encoded)
             .map_err(stage_failed)?;
         let coded = Monotonic.now_ns();
         let decoded = decoder

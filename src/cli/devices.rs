@@ -23,8 +23,14 @@ pub fn run(args: &DevicesArgs) -> Result<(), Failure> {
             device.path.display(),
             device.card,
             device.driver,
-            device.usb_id.as_ref().map_or(String::new(), |id| format!(" {id}")),
-            device.serial.as_ref().map_or(String::new(), |serial| format!(" {serial}")),
+            device
+                .usb_id
+                .as_ref()
+                .map_or(String::new(), |id| format!(" {id}")),
+            device
+                .serial
+                .as_ref()
+                .map_or(String::new(), |serial| format!(" {serial}")),
             device.reason
         );
         if device.depth {
@@ -42,7 +48,11 @@ pub fn run(args: &DevicesArgs) -> Result<(), Failure> {
         }
     }
     for camera in &list.without_node {
-        let _ = writeln!(text, "! {} {}: {}", camera.usb_id, camera.product, camera.reason);
+        let _ = writeln!(
+            text,
+            "! {} {}: {}",
+            camera.usb_id, camera.product, camera.reason
+        );
     }
     if text.is_empty() {
         text.push_str("no cameras; plug one in, or use --device synthetic:room\n");

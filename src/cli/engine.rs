@@ -17,6 +17,9 @@ mod residual;
 
 use residual::Sampler;
 
+/// Key frames come at least so often: a second at the usual rate.
+const KEYFRAME_EVERY: u32 = 30;
+
 /// Resolved options of model and payload.
 #[derive(Clone, Debug)]
 pub struct Engine {
@@ -46,18 +49,17 @@ impl Engine {
             Some(PackingArg::Cubic) => fit.packing = Packing::Cubic,
             None => {}
         }
-        let mut codec = CodecOptions::default();
-        if let Some(every) = args.keyframe_every {
-            codec.keyframe_every = every;
-        }
         // a bound on the error is a contact distance, too: what lies farther off is not modelled
         let bound = args.max_error.map(|most| ContactDistance::constant(most.0));
         if let (Some(bound), None) = (bound, args.contact_distance) {
             fit.contact_distance = bound;
         }
-        codec.tolerance = Tolerance {
-            contact: bound.unwrap_or(fit.contact_distance),
-            lossless: args.lossless,
+        let codec = CodecOptions {
+            keyframe_every: args.keyframe_every.unwrap_or(KEYFRAME_EVERY),
+            tolerance: Tolerance {
+                contact: bound.unwrap_or(fit.contact_distance),
+                lossless: args.lossless,
+            },
         };
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         Self {
@@ -148,11 +150,13 @@ pub struct LiveEncode {
 
 impl LiveEncode {
     /// An encoder for frames of `camera`.
-    pub fn new(camera: &Camera, engine: &Engine) -> Self {
-        Self {
-            encoder: Encoder::new(camera, engine.codec),
+    pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
+        let encoder =
+            Encoder::new(camera, engine.codec).map_err(|error| Failure::new(Kind::Input, error))?;
+        Ok(Self {
+            encoder,
             sampler: (!engine.codec.tolerance.lossless).then(|| Sampler::new(camera)),
-        }
+        })
     }
 
     /// The same without a look at the errors, which takes time that is not the codec's.
@@ -167,9 +171,11 @@ impl Encode for LiveEncode {
         &mut self,
         depth: &DepthFrame,
         saint: &SaintFrame,
+        modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError> {
-        self.encoder.encode(depth, saint, encoded)?;
+        self.encoder
+            .encode(depth, saint, modelled.degraded, encoded)?;
         let residual = match &mut self.sampler {
             Some(sampler) => sampler.residual(depth, saint),
             None => Residual::default(),

@@ -44,7 +44,8 @@ pub fn run(args: &PlayArgs) -> Result<(), Failure> {
     drop(screen);
     let played = played?;
     if args.stats || !visible {
-        let mut text = serde_json::to_string(&played).map_err(|e| Failure::new(Kind::Failure, e))?;
+        let mut text =
+            serde_json::to_string(&played).map_err(|e| Failure::new(Kind::Failure, e))?;
         text.push('\n');
         super::write_data(text.as_bytes())?;
     }

@@ -90,7 +90,13 @@ pub fn summary(run: &Report) -> String {
         ),
         format!(
             "payload    {} bytes, {:.3} bits per point, {:.2} Mbit/s; error mm mean {:.2} p95 {:.2} p99 {:.2} max {:.2}",
-            run.bytes, run.bits_per_valid_px, run.mbit_per_s, error.mean, error.p95, error.p99, error.max,
+            run.bytes,
+            run.bits_per_valid_px,
+            run.mbit_per_s,
+            error.mean,
+            error.p95,
+            error.p99,
+            error.max,
         ),
     ];
     if run.color_frames + run.color_dropped > 0 {

@@ -113,7 +113,7 @@ impl<'a> Run<'a> {
         }
         self.engine.start_workers()?;
         let mut model = LiveModel::new(&camera, &self.engine);
-        let mut encode = LiveEncode::new(&camera, &self.engine);
+        let mut encode = LiveEncode::new(&camera, &self.engine)?;
         let mut output = Output::open(self.stream, &camera, self.engine.notes(&self.source))?;
         let trace = self.trace()?;
         let options = Options {
@@ -166,7 +166,10 @@ impl<'a> Run<'a> {
         }
         Err(Failure::new(
             Kind::Input,
-            format_args!("{}: holds no frame; name a folder with depth images", self.source),
+            format_args!(
+                "{}: holds no frame; name a folder with depth images",
+                self.source
+            ),
         ))
     }
 

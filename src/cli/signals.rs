@@ -16,7 +16,10 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>, Failure> {
         signal_hook::flag::register_conditional_shutdown(signal, KILLED, Arc::clone(&stop))
             .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
             .map_err(|source| {
-                Failure::new(Kind::Failure, format_args!("cannot handle signals: {source}"))
+                Failure::new(
+                    Kind::Failure,
+                    format_args!("cannot handle signals: {source}"),
+                )
             })?;
     }
     Ok(stop)

@@ -195,7 +195,11 @@ pub fn repeated(input: &Path, options: &InputOptions) -> Result<Box<dyn FrameSou
             remedy: "keep the input in place while it is looped".to_owned(),
         })
     };
-    Ok(Box::new(Repeated::new(first, Box::new(reopen), LOOP_PERIOD_NS)))
+    Ok(Box::new(Repeated::new(
+        first,
+        Box::new(reopen),
+        LOOP_PERIOD_NS,
+    )))
 }
 
 /// True where the file is a recording of ours rather than an image.

@@ -4,7 +4,7 @@ use super::failure::{Failure, Kind};
 use saint_live::codec::{CodecError, Decoder, EncodedFrame};
 use saint_live::export::ExportFrame;
 use saint_live::fit::sphere::Sphere;
-use saint_live::frame::{Camera, ColorFrame, FrameTime};
+use saint_live::frame::{Camera, ColorFrame};
 use saint_live::play::Frames;
 use saint_live::recording::{RecordingError, RecordingReader};
 use std::path::{Path, PathBuf};
@@ -96,11 +96,6 @@ impl Tape {
     fn tell(&mut self, what: &dyn std::fmt::Display) {
         tracing::warn!("{what}");
         self.fault.get_or_insert_with(|| what.to_string());
-    }
-
-    /// Sequence number and time of the frame last decoded.
-    pub fn stamp(&self) -> (u64, FrameTime) {
-        (self.encoded.sequence, self.encoded.time)
     }
 
     /// The frame last decoded.

@@ -49,8 +49,9 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         ("h", 1.0 / 3600.0),
     ];
     match number_with_unit(text, &units, Some(1.0)) {
-        Some(seconds) if seconds > 0.0 => Duration::try_from_secs_f64(seconds)
-            .map_err(|_| format!("{seconds} s is too long")),
+        Some(seconds) if seconds > 0.0 => {
+            Duration::try_from_secs_f64(seconds).map_err(|_| format!("{seconds} s is too long"))
+        }
         Some(seconds) => Err(format!("{seconds} s is not a time above 0")),
         None => Err("a time is a number with a unit: 33ms, 2s, 1.5min".to_owned()),
     }
@@ -108,7 +109,10 @@ mod tests {
             ("500us", Duration::from_micros(500)),
         ] {
             let got = duration(text).unwrap();
-            assert!(got.abs_diff(want) < Duration::from_nanos(2), "{text}: {got:?}");
+            assert!(
+                got.abs_diff(want) < Duration::from_nanos(2),
+                "{text}: {got:?}"
+            );
         }
         for text in ["", "ms", "-1s", "0s", "nan", "1e300s", "3 days"] {
             assert!(duration(text).is_err(), "{text}");

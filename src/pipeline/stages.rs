@@ -35,7 +35,8 @@ pub trait Model: Send {
 
 /// Writes a modelled frame as bytes.
 pub trait Encode: Send {
-    /// Encodes the frame into `encoded`, whose buffer is reused.
+    /// Encodes the frame, of which the model stage says `modelled`, into `encoded`, whose buffer is
+    /// reused.
     ///
     /// # Errors
     /// Whatever makes this frame impossible to code.
@@ -43,6 +44,7 @@ pub trait Encode: Send {
         &mut self,
         depth: &DepthFrame,
         saint: &SaintFrame,
+        modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError>;
 }
@@ -290,7 +292,12 @@ impl<'a> Shared<'a> {
             return false;
         }
         let report = self.guarded(Stage::Encode, packet.depth.sequence, || {
-            encode.encode(&packet.depth, &packet.saint, &mut packet.encoded)
+            encode.encode(
+                &packet.depth,
+                &packet.saint,
+                &packet.record.modelled,
+                &mut packet.encoded,
+            )
         });
         let Some(report) = report else {
             return self.give_up(Stage::Encode, packet);

@@ -169,6 +169,7 @@ impl Encode for MockEncode {
         &mut self,
         depth: &DepthFrame,
         saint: &SaintFrame,
+        _: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError> {
         assert!(

@@ -66,7 +66,10 @@ impl Sampler {
     pub fn residual(&mut self, depth: &DepthFrame, saint: &SaintFrame) -> Residual {
         self.errors.clear();
         let width = self.rays.width;
-        let rows = depth.depth.chunks_exact(width).zip(saint.labels.chunks_exact(width));
+        let rows = depth
+            .depth
+            .chunks_exact(width)
+            .zip(saint.labels.chunks_exact(width));
         for (y, (row, labels)) in rows.enumerate().step_by(STRIDE) {
             let v = self.rays.v[y];
             for x in (0..width).step_by(STRIDE) {
@@ -77,7 +80,8 @@ impl Sampler {
                 let u = self.rays.u[x];
                 let inverse = sphere.inverse_depth(u, v, u * u + v * v + 1.0);
                 if inverse.is_finite() && inverse > 0.0 {
-                    self.errors.push_m(f32::from(row[x]) * self.unit - 1.0 / inverse);
+                    self.errors
+                        .push_m(f32::from(row[x]) * self.unit - 1.0 / inverse);
                 }
             }
         }

@@ -89,7 +89,10 @@ impl FrameSource for RecordedSource {
             frame.sequence = decoded.sequence;
             frame.time = decoded.time;
             frame.depth.clear();
-            let codes = decoded.depth_m.iter().map(|z| png16::code(decoded.camera, *z));
+            let codes = decoded
+                .depth_m
+                .iter()
+                .map(|z| png16::code(decoded.camera, *z));
             frame.depth.extend(codes);
             if let Some(last) = self.last_sequence {
                 self.losses.sensor_gap += frame.sequence.saturating_sub(last + 1);
