@@ -226,9 +226,9 @@ pub fn introduce(camera: &Camera) {
     let k = &camera.intrinsics;
     let rate = camera
         .fps
-        .map_or(String::new(), |fps| format!(" at {fps:.4} fps"));
+        .map_or(String::new(), |fps| format!(" at {fps:.2} fps"));
     message::say(&format!(
-        "{}: {}x{}{rate}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}, 1 unit = {} mm, {} to {} m",
+        "{}: {}x{}{rate}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}, 1 unit = {} mm, {} to {:.1} m",
         camera.name,
         camera.width,
         camera.height,

@@ -60,7 +60,8 @@ use trace::Trace;
 
 /// Frames that may wait between capture and model.
 const WAITING: usize = 1;
-/// Frames that may wait between the later stages.
+/// Frames that may wait between the later stages of a replay, which evens out their times. Live
+/// they are handed over from stage to stage: a frame that waits there would only grow old.
 const HANDED_OVER: usize = 1;
 /// One packet in each stage and in each queue, so that a live source always finds an empty one.
 const PACKETS: usize = 4 + WAITING + 2 * HANDED_OVER;
@@ -249,8 +250,13 @@ fn run_in_threads<'scope, 'env: 'scope>(
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
     let (captured_tx, captured) = mailbox::<Box<Packet>>(WAITING);
-    let (modelled_tx, modelled) = bounded::<Box<Packet>>(HANDED_OVER);
-    let (encoded_tx, encoded) = bounded::<Box<Packet>>(HANDED_OVER);
+    let handed_over = if intake.drops_oldest() {
+        0
+    } else {
+        HANDED_OVER
+    };
+    let (modelled_tx, modelled) = bounded::<Box<Packet>>(handed_over);
+    let (encoded_tx, encoded) = bounded::<Box<Packet>>(handed_over);
     let (empty, empties) = bounded::<Box<Packet>>(PACKETS);
     let (ended, end) = bounded::<()>(0);
     for _ in 0..PACKETS {
