@@ -32,9 +32,32 @@ pub struct DecodedFrame {
 
 impl Default for DecodedFrame {
     fn default() -> Self {
-        let intrinsics = crate::frame::Intrinsics { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
-        let camera = Camera { width: 0, height: 0, intrinsics, depth_unit_m: 1.0, invalid: vec![0], depth_min_m: 0.0, depth_max_m: 0.0, fps: None, name: String::new() };
-        Self { camera, sequence: 0, time: FrameTime::default(), degraded: false, depth_m: Vec::new(), labels: Vec::new(), spheres: Vec::new() }
+        let intrinsics = crate::frame::Intrinsics {
+            fx: 1.0,
+            fy: 1.0,
+            cx: 0.0,
+            cy: 0.0,
+        };
+        let camera = Camera {
+            width: 0,
+            height: 0,
+            intrinsics,
+            depth_unit_m: 1.0,
+            invalid: vec![0],
+            depth_min_m: 0.0,
+            depth_max_m: 0.0,
+            fps: None,
+            name: String::new(),
+        };
+        Self {
+            camera,
+            sequence: 0,
+            time: FrameTime::default(),
+            degraded: false,
+            depth_m: Vec::new(),
+            labels: Vec::new(),
+            spheres: Vec::new(),
+        }
     }
 }
 
@@ -63,7 +86,10 @@ impl Decoder {
     /// [`CodecError`]; after one the decoder waits for the next key frame.
     pub fn decode(&mut self, payload: &[u8]) -> Result<&DecodedFrame, CodecError> {
         let reference = self.last_sequence.take();
-        let body = payload.len().checked_sub(4).ok_or(CodecError::Truncated { need: 4, have: payload.len() })?;
+        let body = payload.len().checked_sub(4).ok_or(CodecError::Truncated {
+            need: 4,
+            have: payload.len(),
+        })?;
         let (bytes, checksum) = payload.split_at(body);
         let found = u32::from_le_bytes([checksum[0], checksum[1], checksum[2], checksum[3]]);
         let (header, sections) = Header::read(bytes)?;
@@ -81,16 +107,29 @@ impl Decoder {
                 self.state = State::default();
             }
         } else if reference != Some(header.reference) {
-            return Err(CodecError::MissingReference { sequence: header.sequence, reference: header.reference });
+            return Err(CodecError::MissingReference {
+                sequence: header.sequence,
+                reference: header.reference,
+            });
         }
         let Some((stream, rays, reach)) = &self.stream else {
-            return Err(CodecError::MissingReference { sequence: header.sequence, reference: header.reference });
+            return Err(CodecError::MissingReference {
+                sequence: header.sequence,
+                reference: header.reference,
+            });
         };
         let state = &mut self.state;
         state.begin(rays, key);
         read_sections(state, rays, key, sections)?;
         state.predict(rays);
-        rebuild(state, rays, key, sections[3], stream.tolerance.lossless, reach)?;
+        rebuild(
+            state,
+            rays,
+            key,
+            sections[3],
+            stream.tolerance.lossless,
+            reach,
+        )?;
         write_frame(&mut self.frame, state, rays, stream, reach);
         self.frame.sequence = header.sequence;
         self.frame.time = header.time;
@@ -102,23 +141,63 @@ impl Decoder {
 
 fn overrun(coder: &RangeDecoder<'_>) -> Result<(), CodecError> {
     if coder.overran() {
-        return Err(CodecError::Corrupt { at: 0, what: "a section ends early" });
+        return Err(CodecError::Corrupt {
+            at: 0,
+            what: "a section ends early",
+        });
     }
     Ok(())
 }
 
 /// Mask, contact map and spheres.
-fn read_sections(state: &mut State, rays: &Rays, key: bool, sections: [&[u8]; 4]) -> Result<(), CodecError> {
-    let State { models, now, before, new, supports, .. } = state;
+fn read_sections(
+    state: &mut State,
+    rays: &Rays,
+    key: bool,
+    sections: [&[u8]; 4],
+) -> Result<(), CodecError> {
+    let State {
+        models,
+        now,
+        before,
+        new,
+        supports,
+        ..
+    } = state;
     let past = (!key).then_some(&*before);
     let mut coder = RangeDecoder::new(sections[0]);
-    mask::code(&mut coder, &mut models.mask, rays, &mut now.mask, past.map(|b| &b.mask));
+    mask::code(
+        &mut coder,
+        &mut models.mask,
+        rays,
+        &mut now.mask,
+        past.map(|b| &b.mask),
+    );
     overrun(&coder)?;
     let mut coder = RangeDecoder::new(sections[1]);
     let past_map = past.map(|b| &b.map);
-    label_map::code_palettes(&mut coder, &mut models.labels, rays, &now.mask, &mut now.map, past_map, new, MAX_SPHERES)
-        .map_err(|_| CodecError::Corrupt { at: 0, what: "a block names a sphere that does not exist" })?;
-    label_map::code_pixels(&mut coder, &mut models.labels, rays, &now.mask, &mut now.map, past_map);
+    label_map::code_palettes(
+        &mut coder,
+        &mut models.labels,
+        rays,
+        &now.mask,
+        &mut now.map,
+        past_map,
+        new,
+        MAX_SPHERES,
+    )
+    .map_err(|_| CodecError::Corrupt {
+        at: 0,
+        what: "a block names a sphere that does not exist",
+    })?;
+    label_map::code_pixels(
+        &mut coder,
+        &mut models.labels,
+        rays,
+        &now.mask,
+        &mut now.map,
+        past_map,
+    );
     overrun(&coder)?;
     let mut coder = RangeDecoder::new(sections[2]);
     Support::gather(rays, &now.map, new.bound(), supports);
@@ -127,7 +206,15 @@ fn read_sections(state: &mut State, rays: &Rays, key: bool, sections: [&[u8]; 4]
     for (number, support) in supports.iter().enumerate() {
         if !support.is_nowhere() {
             let before = before.entries.get(number).copied().flatten();
-            now.entries[number] = Some(sphere_table::code_entry(&mut coder, &mut models.spheres, rays, support, None, before, &mut last));
+            now.entries[number] = Some(sphere_table::code_entry(
+                &mut coder,
+                &mut models.spheres,
+                rays,
+                support,
+                None,
+                before,
+                &mut last,
+            ));
         }
     }
     overrun(&coder)
@@ -135,25 +222,64 @@ fn read_sections(state: &mut State, rays: &Rays, key: bool, sections: [&[u8]; 4]
 
 /// Residuals onto the predictions. Pixels rebuilt from a residual lose `predicted` (set to 0): their
 /// depth is the integer.
-fn rebuild(state: &mut State, rays: &Rays, key: bool, section: &[u8], lossless: bool, reach: &Reach) -> Result<(), CodecError> {
-    let State { models, now, before, predicted, rebuilt, k: plane, .. } = state;
-    plane.reset(rays, 0);
+fn rebuild(
+    state: &mut State,
+    rays: &Rays,
+    key: bool,
+    section: &[u8],
+    lossless: bool,
+    reach: &Reach,
+) -> Result<(), CodecError> {
+    let State {
+        models,
+        now,
+        before,
+        predicted,
+        rebuilt,
+        k: plane,
+        ..
+    } = state;
     let mut coder = RangeDecoder::new(section);
-    residual::code_blocks(&mut coder, &mut models.residual, rays, &now.map.sizes, &mut now.active, (!key).then_some(&before.active));
+    residual::code_blocks(
+        &mut coder,
+        &mut models.residual,
+        rays,
+        &now.map.sizes,
+        &mut now.active,
+        (!key).then_some(&before.active),
+    );
     let mut last = 0u16;
     // blocks without a sphere are rebuilt pixel from pixel even where every k is 0
-    let walk: Vec<bool> = now.active.iter().zip(&now.map.palettes).zip(&now.map.sizes).map(|((&a, p), &n)| a || p[..usize::from(n)].contains(&NO_SPHERE)).collect();
+    let walk: Vec<bool> = now
+        .active
+        .iter()
+        .zip(&now.map.palettes)
+        .zip(&now.map.sizes)
+        .map(|((&a, p), &n)| a || p[..usize::from(n)].contains(&NO_SPHERE))
+        .collect();
     residual::for_each_pixel(rays, &now.mask, &walk, |x, y, i| {
         let label = now.map.pixels.cells()[i];
         let block = y / crate::deproject::BLOCK * rays.block_columns + x / crate::deproject::BLOCK;
-        let k = if now.active[block] { residual::code_pixel(&mut coder, &mut models.residual, plane, i, 0) } else { 0 };
+        let k = if now.active[block] {
+            residual::code_pixel(&mut coder, &mut models.residual, plane, i, 0)
+        } else {
+            0
+        };
         plane.cells_mut()[i] = k;
         if k == 0 && label != NO_SPHERE {
             return;
         }
-        let base = if label == NO_SPHERE { fallback(&now.mask.pixels, rebuilt, i, last) } else { rebuilt.cells()[i] };
+        let base = if label == NO_SPHERE {
+            fallback(&now.mask.pixels, rebuilt, i, last)
+        } else {
+            rebuilt.cells()[i]
+        };
         let (u, v) = (rays.u[x], rays.v[y]);
-        let step = if lossless { 1 } else { reach.step(u * u + v * v + 1.0) };
+        let step = if lossless {
+            1
+        } else {
+            reach.step(u * u + v * v + 1.0)
+        };
         let back = (i32::from(base) + k.saturating_mul(step)).clamp(1, 65535) as u16;
         rebuilt.cells_mut()[i] = back;
         if !lossless {
@@ -167,8 +293,19 @@ fn rebuild(state: &mut State, rays: &Rays, key: bool, section: &[u8], lossless: 
 }
 
 /// Planes to the public frame.
-fn write_frame(frame: &mut DecodedFrame, state: &State, rays: &Rays, stream: &Stream, reach: &Reach) {
-    let State { now, predicted, rebuilt, .. } = state;
+fn write_frame(
+    frame: &mut DecodedFrame,
+    state: &State,
+    rays: &Rays,
+    stream: &Stream,
+    reach: &Reach,
+) {
+    let State {
+        now,
+        predicted,
+        rebuilt,
+        ..
+    } = state;
     let (width, height) = (rays.width, rays.height);
     frame.depth_m.resize(width * height, 0.0);
     frame.labels.resize(width * height, INVALID);
@@ -188,7 +325,11 @@ fn write_frame(frame: &mut DecodedFrame, state: &State, rays: &Rays, stream: &St
             for x in 0..width {
                 let q = rays.u[x] * rays.u[x] + v * v + 1.0;
                 let touches = reach.touches(f32::from(whole[x]), smooth[x], q);
-                depth[x] = if on[x] != 0 { (f64::from(whole[x]) * unit) as f32 } else { 0.0 };
+                depth[x] = if on[x] != 0 {
+                    (f64::from(whole[x]) * unit) as f32
+                } else {
+                    0.0
+                };
                 labels[x] = if on[x] == 0 {
                     INVALID
                 } else if touches {
@@ -200,7 +341,11 @@ fn write_frame(frame: &mut DecodedFrame, state: &State, rays: &Rays, stream: &St
         } else {
             for x in 0..width {
                 let rounded = !(smooth[x] > 0.0 && smooth[x] < 1e9);
-                let z = if rounded { f32::from(whole[x]) * single } else { smooth[x] * single };
+                let z = if rounded {
+                    f32::from(whole[x]) * single
+                } else {
+                    smooth[x] * single
+                };
                 depth[x] = if on[x] != 0 { z } else { 0.0 };
                 labels[x] = if on[x] == 0 {
                     INVALID
@@ -213,5 +358,7 @@ fn write_frame(frame: &mut DecodedFrame, state: &State, rays: &Rays, stream: &St
         }
     }
     frame.spheres.clear();
-    frame.spheres.extend(now.entries.iter().map(|e| e.map(|e| e.sphere)));
+    frame
+        .spheres
+        .extend(now.entries.iter().map(|e| e.map(|e| e.sphere)));
 }

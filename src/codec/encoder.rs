@@ -8,7 +8,7 @@ use super::state::{MAX_SPHERES, State, fallback};
 use super::{CodecError, EncodedFrame, label_map, mask, residual};
 use crate::contact_map::assign::{EMPTY, PALETTE};
 use crate::contact_map::contact::Reach;
-use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
+use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
@@ -55,6 +55,7 @@ pub struct Encoder {
     options: CodecOptions,
     state: State,
     plane: Vec<u16>,
+    hits: Vec<u64>,
     /// Model slot to sphere number, and the surface as the model last gave it.
     numbers: Vec<Option<(u16, Sphere)>>,
     /// Sphere number to model slot.
@@ -84,6 +85,7 @@ impl Encoder {
             options,
             state: State::default(),
             plane: Vec::new(),
+            hits: Vec::new(),
             numbers: Vec::new(),
             slots: Vec::new(),
             sections: Default::default(),
@@ -101,18 +103,32 @@ impl Encoder {
     ///
     /// # Errors
     /// [`CodecError::Size`] where a frame is not of this camera.
-    pub fn encode(&mut self, frame: &DepthFrame, saint: &SaintFrame, degraded: bool, out: &mut EncodedFrame) -> Result<EncodeReport, CodecError> {
+    pub fn encode(
+        &mut self,
+        frame: &DepthFrame,
+        saint: &SaintFrame,
+        degraded: bool,
+        out: &mut EncodedFrame,
+    ) -> Result<EncodeReport, CodecError> {
         let pixels = self.rays.width * self.rays.height;
         for found in [frame.depth.len(), saint.labels.len()] {
             if found != pixels {
-                return Err(CodecError::Size { found, expected: pixels });
+                return Err(CodecError::Size {
+                    found,
+                    expected: pixels,
+                });
             }
         }
-        let reference = self.last_sequence.filter(|_| self.since_key + 1 < self.options.keyframe_every);
+        let reference = self
+            .last_sequence
+            .filter(|_| self.since_key + 1 < self.options.keyframe_every);
         let key = reference.is_none();
         self.state.begin(&self.rays, key);
-        let mut report = EncodeReport { valid_pixels: self.validity.clean(&self.rays, frame, &mut self.plane) as u32, ..Default::default() };
-        self.mask_pixels();
+        let mut report = EncodeReport {
+            valid_pixels: self.validity.clean(&self.rays, frame, &mut self.plane) as u32,
+            ..Default::default()
+        };
+        self.state.now.mask.measure(&self.rays, &self.plane);
         self.choose_palettes(saint);
         self.number_spheres(key);
         for s in &mut self.sections {
@@ -120,7 +136,8 @@ impl Encoder {
         }
         self.code_mask_and_labels(key)?;
         self.code_spheres(saint, &mut report);
-        self.state.predict(&self.rays);
+        self.state
+            .predict_and_test(&self.rays, &self.plane, &self.reach, &mut self.hits);
         self.find_residuals(&mut report);
         self.code_residuals(key);
 
@@ -138,7 +155,12 @@ impl Encoder {
         out.payload.clear();
         header.write(&mut out.payload);
         report.header_bytes = out.payload.len() as u32 + 4;
-        [report.mask_bytes, report.label_bytes, report.sphere_bytes, report.residual_bytes] = header.sections.map(|n| n as u32);
+        [
+            report.mask_bytes,
+            report.label_bytes,
+            report.sphere_bytes,
+            report.residual_bytes,
+        ] = header.sections.map(|n| n as u32);
         for s in &self.sections {
             out.payload.extend_from_slice(s);
         }
@@ -147,19 +169,6 @@ impl Encoder {
         self.last_sequence = Some(frame.sequence);
         self.since_key = if key { 0 } else { self.since_key + 1 };
         Ok(report)
-    }
-
-    fn mask_pixels(&mut self) {
-        let (rays, mask) = (&self.rays, &mut self.state.now.mask);
-        let stride = rays.stride();
-        for y in 0..rays.height {
-            let start = mask.pixels.index(0, y);
-            let row = &mut mask.pixels.cells_mut()[start..start + rays.width];
-            for (m, &raw) in row.iter_mut().zip(&self.plane[y * stride..]) {
-                *m = u8::from(raw != 0);
-            }
-        }
-        mask.sum_up(rays);
     }
 
     /// Palettes and labels (model slots for now). A block takes the four labels with most pixels;
@@ -172,6 +181,12 @@ impl Encoder {
                 continue;
             }
             let (x0, y0, w, h) = extent(rays, k);
+            if let Some(label) = single_label(saint, rays, (x0, y0, w, h)) {
+                now.map.palettes[k] = EMPTY;
+                now.map.palettes[k][0] = label;
+                now.map.sizes[k] = 1;
+                continue;
+            }
             let mut found: [(u32, u16); 16] = [(0, NO_SPHERE); 16];
             let mut n = 0;
             for j in 0..h {
@@ -179,7 +194,13 @@ impl Encoder {
                 let start = now.mask.pixels.index(x0, y0 + j);
                 let on = &now.mask.pixels.cells()[start..start + w];
                 for (&label, _) in row.iter().zip(on).filter(|(_, m)| **m != 0) {
-                    let id = if usize::from(label) < saint.spheres.len() && saint.spheres[usize::from(label)].is_some() { label } else { NO_SPHERE };
+                    let id = if usize::from(label) < saint.spheres.len()
+                        && saint.spheres[usize::from(label)].is_some()
+                    {
+                        label
+                    } else {
+                        NO_SPHERE
+                    };
                     if let Some(f) = found[..n].iter_mut().find(|f| f.1 == id) {
                         f.0 += 1;
                     } else if n < found.len() {
@@ -214,7 +235,9 @@ impl Encoder {
                 for i in 0..w {
                     let label = saint.labels[(y0 + j) * rays.width + x0 + i];
                     let left = now.map.pixels.cells()[start + i - 1];
-                    let pick = [label, left].into_iter().find(|id| palette[..size].contains(id));
+                    let pick = [label, left]
+                        .into_iter()
+                        .find(|id| palette[..size].contains(id));
                     now.map.pixels.cells_mut()[start + i] = pick.unwrap_or(palette[0]);
                 }
             }
@@ -228,7 +251,9 @@ impl Encoder {
             self.numbers.clear();
             self.slots.clear();
         }
-        let State { now, before, new, .. } = &mut self.state;
+        let State {
+            now, before, new, ..
+        } = &mut self.state;
         for k in 0..self.rays.blocks() {
             let size = usize::from(now.map.sizes[k]);
             for entry in &mut now.map.palettes[k][..size] {
@@ -244,7 +269,11 @@ impl Encoder {
                     None => {
                         let n = new.take() as u16;
                         // a surface no model has: the sphere is stated, not kept
-                        let nowhere = Sphere { a: f32::NAN, m: glam::Vec3::NAN, far: false };
+                        let nowhere = Sphere {
+                            a: f32::NAN,
+                            m: glam::Vec3::NAN,
+                            far: false,
+                        };
                         self.numbers[usize::from(slot)] = Some((n, nowhere));
                         n
                     }
@@ -272,23 +301,63 @@ impl Encoder {
     }
 
     fn code_mask_and_labels(&mut self, key: bool) -> Result<(), CodecError> {
-        let State { models, now, before, new, .. } = &mut self.state;
+        let State {
+            models,
+            now,
+            before,
+            new,
+            ..
+        } = &mut self.state;
         let (rays, before) = (&self.rays, (!key).then_some(&*before));
         let [mask_bytes, label_bytes, ..] = &mut self.sections;
         let mut coder = RangeEncoder::new(mask_bytes);
-        mask::code(&mut coder, &mut models.mask, rays, &mut now.mask, before.map(|b| &b.mask));
+        mask::code(
+            &mut coder,
+            &mut models.mask,
+            rays,
+            &mut now.mask,
+            before.map(|b| &b.mask),
+        );
         coder.finish();
         let mut coder = RangeEncoder::new(label_bytes);
         let past = before.map(|b| &b.map);
-        label_map::code_palettes(&mut coder, &mut models.labels, rays, &now.mask, &mut now.map, past, new, MAX_SPHERES)
-            .map_err(|e| CodecError::Limit(format!("{} spheres in one frame (at most {MAX_SPHERES})", e.0)))?;
-        label_map::code_pixels(&mut coder, &mut models.labels, rays, &now.mask, &mut now.map, past);
+        label_map::code_palettes(
+            &mut coder,
+            &mut models.labels,
+            rays,
+            &now.mask,
+            &mut now.map,
+            past,
+            new,
+            MAX_SPHERES,
+        )
+        .map_err(|e| {
+            CodecError::Limit(format!(
+                "{} spheres in one frame (at most {MAX_SPHERES})",
+                e.0
+            ))
+        })?;
+        label_map::code_pixels(
+            &mut coder,
+            &mut models.labels,
+            rays,
+            &now.mask,
+            &mut now.map,
+            past,
+        );
         coder.finish();
         Ok(())
     }
 
     fn code_spheres(&mut self, saint: &SaintFrame, report: &mut EncodeReport) {
-        let State { models, now, before, new, supports, .. } = &mut self.state;
+        let State {
+            models,
+            now,
+            before,
+            new,
+            supports,
+            ..
+        } = &mut self.state;
         Support::gather(&self.rays, &now.map, new.bound(), supports);
         now.entries.resize(new.bound(), None);
         let mut coder = RangeEncoder::new(&mut self.sections[2]);
@@ -306,7 +375,9 @@ impl Encoder {
             }
             report.spheres += 1;
             let slot = usize::from(self.slots[number]);
-            let Some(sphere) = saint.spheres[slot] else { continue };
+            let Some(sphere) = saint.spheres[slot] else {
+                continue;
+            };
             let statement = match self.numbers[slot] {
                 Some((_, known)) if past.is_some() && known == sphere => {
                     report.kept_spheres += 1;
@@ -320,7 +391,15 @@ impl Encoder {
                 }
             };
             self.numbers[slot] = Some((number as u16, sphere));
-            let entry = sphere_table::code_entry(&mut coder, &mut models.spheres, &self.rays, support, Some(statement), past, &mut last);
+            let entry = sphere_table::code_entry(
+                &mut coder,
+                &mut models.spheres,
+                &self.rays,
+                support,
+                Some(statement),
+                past,
+                &mut last,
+            );
             now.entries[number] = Some(entry);
         }
         coder.finish();
@@ -328,51 +407,54 @@ impl Encoder {
 
     /// k of every measured pixel from the decoder's own prediction.
     fn find_residuals(&mut self, report: &mut EncodeReport) {
-        let State { now, predicted, rebuilt, k: plane, .. } = &mut self.state;
+        let State {
+            now,
+            rebuilt,
+            k: plane,
+            ..
+        } = &mut self.state;
         let (rays, lossless) = (&self.rays, self.options.tolerance.lossless);
-        plane.reset(rays, 0);
         let stride = rays.stride();
+        report.touching_pixels = self.hits.iter().map(|h| h.count_ones()).sum();
         let mut last = 0u16;
         for y in 0..rays.height {
             let v = rays.v[y];
             for bx in 0..rays.block_columns {
                 let block = y / BLOCK * rays.block_columns + bx;
-                let size = usize::from(now.map.sizes[block]);
-                if size == 0 {
+                if now.map.sizes[block] == 0 {
                     continue;
                 }
                 let x0 = bx * BLOCK;
-                let across = BLOCK.min(rays.width - x0);
-                let start = predicted.index(x0, y);
-                let raw = &self.plane[y * stride + x0..][..across];
-                if !lossless && size == 1 && now.map.palettes[block][0] != NO_SPHERE {
-                    let all = row_touches(raw, &predicted.cells()[start..start + across], &rays.u[x0..], v, &self.reach);
-                    if all {
-                        report.touching_pixels += raw.iter().filter(|r| **r != 0).count() as u32;
-                        continue;
-                    }
-                }
+                let raw = &self.plane[y * stride + x0..][..BLOCK.min(rays.width - x0)];
+                let hits = (self.hits[block] >> (y % BLOCK * 8)) as u8;
+                let start = plane.index(x0, y);
                 for (i, &raw) in raw.iter().enumerate() {
-                    let cell = start + i;
-                    if raw == 0 {
+                    let touches = hits >> i & 1 != 0;
+                    if raw == 0 || (touches && !lossless) {
                         continue;
                     }
-                    let u = rays.u[x0 + i];
-                    let q = u * u + v * v + 1.0;
-                    let label = now.map.pixels.cells()[cell];
-                    let base = if label == NO_SPHERE { fallback(&now.mask.pixels, rebuilt, cell, last) } else { rebuilt.cells()[cell] };
-                    let touches = label != NO_SPHERE && self.reach.touches(f32::from(raw), predicted.cells()[cell], q);
-                    report.touching_pixels += u32::from(touches);
+                    let cell = start + i;
+                    let no_sphere = now.map.pixels.cells()[cell] == NO_SPHERE;
+                    let base = if no_sphere {
+                        fallback(&now.mask.pixels, rebuilt, cell, last)
+                    } else {
+                        rebuilt.cells()[cell]
+                    };
                     let difference = i32::from(raw) - i32::from(base);
-                    let step = if lossless { 1 } else { self.reach.step(q) };
-                    let k = if touches && !lossless { 0 } else { (difference + difference.signum() * (step / 2)) / step };
-                    plane.cells_mut()[cell] = k;
+                    let u = rays.u[x0 + i];
+                    let step = if lossless {
+                        1
+                    } else {
+                        self.reach.step(u * u + v * v + 1.0)
+                    };
+                    let k = (difference + difference.signum() * (step / 2)) / step;
                     let back = (i32::from(base) + k * step).clamp(1, 65535) as u16;
-                    if k != 0 || label == NO_SPHERE {
-                        rebuilt.cells_mut()[cell] = back;
-                        now.active[block] |= k != 0;
+                    if k != 0 {
+                        now.active[block] = true;
+                        plane.cells_mut()[cell] = k;
                     }
-                    if label == NO_SPHERE {
+                    rebuilt.cells_mut()[cell] = back;
+                    if no_sphere {
                         last = back;
                     }
                 }
@@ -381,10 +463,23 @@ impl Encoder {
     }
 
     fn code_residuals(&mut self, key: bool) {
-        let State { models, now, before, k: plane, .. } = &mut self.state;
+        let State {
+            models,
+            now,
+            before,
+            k: plane,
+            ..
+        } = &mut self.state;
         let rays = &self.rays;
         let mut coder = RangeEncoder::new(&mut self.sections[3]);
-        residual::code_blocks(&mut coder, &mut models.residual, rays, &now.map.sizes, &mut now.active, (!key).then_some(&before.active));
+        residual::code_blocks(
+            &mut coder,
+            &mut models.residual,
+            rays,
+            &now.map.sizes,
+            &mut now.active,
+            (!key).then_some(&before.active),
+        );
         residual::for_each_pixel(rays, &now.mask, &now.active, |_, _, i| {
             let k = plane.cells()[i];
             residual::code_pixel(&mut coder, &mut models.residual, plane, i, k);
@@ -393,13 +488,19 @@ impl Encoder {
     }
 }
 
-/// True where every measured pixel of a row of a block touches its prediction.
+/// The one label of all measured pixels of a block, where they have one and it names a sphere.
 #[inline]
-fn row_touches(raw: &[u16], predicted: &[f32], u: &[f32], v: f32, reach: &Reach) -> bool {
-    let mut misses = 0u32;
-    for ((&r, &p), &u) in raw.iter().zip(predicted).zip(u) {
-        let q = u * u + v * v + 1.0;
-        misses |= u32::from(!reach.touches(f32::from(r), p, q)) & u32::from(r != 0);
-    }
-    misses == 0
+fn single_label(
+    saint: &SaintFrame,
+    rays: &Rays,
+    (x0, y0, w, h): (usize, usize, usize, usize),
+) -> Option<u16> {
+    let rows = || (0..h).map(|j| &saint.labels[(y0 + j) * rays.width + x0..][..w]);
+    let first = rows().flatten().copied().find(|l| *l != INVALID)?;
+    saint.spheres.get(usize::from(first)).copied().flatten()?;
+    let same = |row: &[u16]| {
+        row.iter()
+            .fold(true, |s, &l| s & ((l == first) | (l == INVALID)))
+    };
+    rows().all(same).then_some(first)
 }

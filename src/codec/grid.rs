@@ -14,12 +14,25 @@ pub struct Plane<T> {
 }
 
 impl<T: Copy> Plane<T> {
-    /// Makes the plane cover `rays` and fills it, border included.
-    pub fn reset(&mut self, rays: &Rays, value: T) {
-        self.stride = rays.stride() + 2 * SIDE;
-        let cells = self.stride * (rays.block_rows * BLOCK + 2 * ROWS);
-        self.cells.clear();
-        self.cells.resize(cells, value);
+    /// Makes the plane cover `rays`. A plane that does already keeps its cells: who uses it writes
+    /// every cell it reads. A new one is filled, border included.
+    pub fn cover(&mut self, rays: &Rays, value: T) {
+        let stride = rays.stride() + 2 * SIDE;
+        let cells = stride * (rays.block_rows * BLOCK + 2 * ROWS);
+        if self.stride != stride || self.cells.len() != cells {
+            self.stride = stride;
+            self.cells.clear();
+            self.cells.resize(cells, value);
+        }
+    }
+
+    /// Writes `value` to all pixels of the block that starts at (x, y).
+    #[inline]
+    pub fn fill_block(&mut self, x: usize, y: usize, value: T) {
+        for j in 0..BLOCK {
+            let start = self.index(x, y + j);
+            self.cells[start..start + BLOCK].fill(value);
+        }
     }
 
     /// Index of pixel (x, y); neighbours are at ±1 and ±`stride()`.

@@ -47,7 +47,13 @@ impl Stream {
     /// The stream of `camera` at this tolerance.
     #[must_use]
     pub fn new(camera: &Camera, tolerance: Tolerance) -> Self {
-        Self { width: camera.width, height: camera.height, intrinsics: camera.intrinsics, depth_unit_m: camera.depth_unit_m, tolerance }
+        Self {
+            width: camera.width,
+            height: camera.height,
+            intrinsics: camera.intrinsics,
+            depth_unit_m: camera.depth_unit_m,
+            tolerance,
+        }
     }
 
     /// The camera as far as a payload knows it.
@@ -73,20 +79,30 @@ impl Stream {
     pub fn check(&self) -> Result<(), CodecError> {
         let (w, h) = (u64::from(self.width), u64::from(self.height));
         if w < 2 || h < 2 || w > MAX_SIDE || h > MAX_SIDE || w * h > MAX_PIXELS {
-            return Err(CodecError::Limit(format!("image size {w}x{h} (2 to {MAX_SIDE} a side, {MAX_PIXELS} pixels)")));
+            return Err(CodecError::Limit(format!(
+                "image size {w}x{h} (2 to {MAX_SIDE} a side, {MAX_PIXELS} pixels)"
+            )));
         }
         let i = &self.intrinsics;
         let focal = |f: f64| f.is_finite() && (1.0..=1e6).contains(&f);
         let centre = |c: f64| c.is_finite() && c.abs() <= 1e6;
         if !(focal(i.fx) && focal(i.fy) && centre(i.cx) && centre(i.cy)) {
-            return Err(CodecError::Limit(format!("intrinsics {}, {}, {}, {} (focal lengths 1 to 1e6 px)", i.fx, i.fy, i.cx, i.cy)));
+            return Err(CodecError::Limit(format!(
+                "intrinsics {}, {}, {}, {} (focal lengths 1 to 1e6 px)",
+                i.fx, i.fy, i.cx, i.cy
+            )));
         }
         if !(1e-7..=1.0).contains(&self.depth_unit_m) {
-            return Err(CodecError::Limit(format!("depth unit {} m (1e-7 to 1)", self.depth_unit_m)));
+            return Err(CodecError::Limit(format!(
+                "depth unit {} m (1e-7 to 1)",
+                self.depth_unit_m
+            )));
         }
         let c = &self.tolerance.contact;
         if !((1e-7..=1e3).contains(&c.floor_m) && (0.0..=1.0).contains(&c.per_z2)) {
-            return Err(CodecError::Limit(format!("contact distance {c} (floor 1e-7 to 1e3 m, growth 0 to 1)")));
+            return Err(CodecError::Limit(format!(
+                "contact distance {c} (floor 1e-7 to 1e3 m, growth 0 to 1)"
+            )));
         }
         Ok(())
     }
@@ -115,7 +131,11 @@ impl Header {
         out.extend(MAGIC);
         out.push(VERSION);
         let lossless = self.stream.as_ref().is_some_and(|s| s.tolerance.lossless);
-        out.push(u8::from(self.stream.is_some()) * KEY | u8::from(lossless) * LOSSLESS | u8::from(self.degraded) * DEGRADED);
+        out.push(
+            u8::from(self.stream.is_some()) * KEY
+                | u8::from(lossless) * LOSSLESS
+                | u8::from(self.degraded) * DEGRADED,
+        );
         write_varint(out, self.sequence);
         out.extend(self.time.device_ns.to_le_bytes());
         out.extend(self.time.wall_ns.to_le_bytes());
@@ -124,7 +144,15 @@ impl Header {
                 write_varint(out, u64::from(s.width));
                 write_varint(out, u64::from(s.height));
                 let i = &s.intrinsics;
-                for f in [i.fx, i.fy, i.cx, i.cy, s.depth_unit_m, s.tolerance.contact.floor_m, s.tolerance.contact.per_z2] {
+                for f in [
+                    i.fx,
+                    i.fy,
+                    i.cx,
+                    i.cy,
+                    s.depth_unit_m,
+                    s.tolerance.contact.floor_m,
+                    s.tolerance.contact.per_z2,
+                ] {
                     out.extend(f.to_le_bytes());
                 }
             }
@@ -141,9 +169,15 @@ impl Header {
     /// # Errors
     /// [`CodecError`] where the bytes are not a whole payload of this version.
     pub fn read(payload: &[u8]) -> Result<(Self, [&[u8]; SECTIONS]), CodecError> {
-        let mut r = Reader { bytes: payload, at: 0 };
+        let mut r = Reader {
+            bytes: payload,
+            at: 0,
+        };
         if r.take(2)? != MAGIC {
-            return Err(CodecError::Corrupt { at: 0, what: "no payload of saint-live starts like this" });
+            return Err(CodecError::Corrupt {
+                at: 0,
+                what: "no payload of saint-live starts like this",
+            });
         }
         let version = r.byte()?;
         if version != VERSION {
@@ -151,10 +185,16 @@ impl Header {
         }
         let flags = r.byte()?;
         if flags & !(KEY | LOSSLESS | DEGRADED) != 0 {
-            return Err(CodecError::Corrupt { at: 3, what: "flags of no known meaning are set" });
+            return Err(CodecError::Corrupt {
+                at: 3,
+                what: "flags of no known meaning are set",
+            });
         }
         let sequence = r.varint()?;
-        let time = FrameTime { device_ns: i64::from_le_bytes(r.array()?), wall_ns: i64::from_le_bytes(r.array()?) };
+        let time = FrameTime {
+            device_ns: i64::from_le_bytes(r.array()?),
+            wall_ns: i64::from_le_bytes(r.array()?),
+        };
         let (mut stream, mut reference) = (None, 0);
         if flags & KEY != 0 {
             let (width, height) = (r.varint()?, r.varint()?);
@@ -166,9 +206,20 @@ impl Header {
             let s = Stream {
                 width: side(width),
                 height: side(height),
-                intrinsics: Intrinsics { fx: f[0], fy: f[1], cx: f[2], cy: f[3] },
+                intrinsics: Intrinsics {
+                    fx: f[0],
+                    fy: f[1],
+                    cx: f[2],
+                    cy: f[3],
+                },
                 depth_unit_m: f[4],
-                tolerance: Tolerance { contact: ContactDistance { floor_m: f[5], per_z2: f[6] }, lossless: flags & LOSSLESS != 0 },
+                tolerance: Tolerance {
+                    contact: ContactDistance {
+                        floor_m: f[5],
+                        per_z2: f[6],
+                    },
+                    lossless: flags & LOSSLESS != 0,
+                },
             };
             s.check()?;
             stream = Some(s);
@@ -184,9 +235,22 @@ impl Header {
             *b = r.take(n)?;
         }
         if r.at != payload.len() {
-            return Err(CodecError::Corrupt { at: r.at, what: "bytes follow the last section" });
+            return Err(CodecError::Corrupt {
+                at: r.at,
+                what: "bytes follow the last section",
+            });
         }
-        Ok((Self { stream, sequence, reference, time, degraded: flags & DEGRADED != 0, sections }, bytes))
+        Ok((
+            Self {
+                stream,
+                sequence,
+                reference,
+                time,
+                degraded: flags & DEGRADED != 0,
+                sections,
+            },
+            bytes,
+        ))
     }
 }
 
@@ -207,7 +271,10 @@ struct Reader<'a> {
 impl<'a> Reader<'a> {
     fn take(&mut self, n: usize) -> Result<&'a [u8], CodecError> {
         let left = &self.bytes[self.at..];
-        let taken = left.get(..n).ok_or(CodecError::Truncated { need: self.at.saturating_add(n), have: self.bytes.len() })?;
+        let taken = left.get(..n).ok_or(CodecError::Truncated {
+            need: self.at.saturating_add(n),
+            have: self.bytes.len(),
+        })?;
         self.at += n;
         Ok(taken)
     }
@@ -231,6 +298,9 @@ impl<'a> Reader<'a> {
                 return Ok(value);
             }
         }
-        Err(CodecError::Corrupt { at: self.at, what: "a number runs over 64 bits" })
+        Err(CodecError::Corrupt {
+            at: self.at,
+            what: "a number runs over 64 bits",
+        })
     }
 }

@@ -50,13 +50,13 @@ pub struct LabelMap {
 }
 
 impl LabelMap {
-    /// An empty map over `rays`.
+    /// An empty map over `rays` whose pixels are still to be written.
     pub fn reset(&mut self, rays: &Rays) {
         self.palettes.clear();
         self.palettes.resize(rays.blocks(), EMPTY);
         self.sizes.clear();
         self.sizes.resize(rays.blocks(), 0);
-        self.pixels.reset(rays, NO_SPHERE);
+        self.pixels.cover(rays, NO_SPHERE);
     }
 }
 
@@ -119,7 +119,11 @@ impl List {
     }
 
     fn gather(map: &LabelMap, before: Option<&LabelMap>, columns: usize, k: usize) -> Self {
-        let mut list = Self { ids: [NO_SPHERE; LIST], votes: [0; LIST], len: 0 };
+        let mut list = Self {
+            ids: [NO_SPHERE; LIST],
+            votes: [0; LIST],
+            len: 0,
+        };
         let mut all = |m: &LabelMap, k: usize, vote: u8| {
             for &id in &m.palettes[k][..usize::from(m.sizes[k])] {
                 list.add(id, vote);
@@ -142,7 +146,12 @@ impl List {
             }
         }
         if let Some(b) = before {
-            for (there, n) in [(x + 1 < columns, k + 1), (k + columns < blocks, k + columns), (x > 0, k.wrapping_sub(1)), (k >= columns, k.wrapping_sub(columns))] {
+            for (there, n) in [
+                (x + 1 < columns, k + 1),
+                (k + columns < blocks, k + columns),
+                (x > 0, k.wrapping_sub(1)),
+                (k >= columns, k.wrapping_sub(columns)),
+            ] {
                 if there {
                     all(b, n, 0);
                 }
@@ -178,9 +187,16 @@ pub fn code_palettes<C: Coder>(
             continue;
         }
         let west = if k % columns > 0 { map.sizes[k - 1] } else { 1 };
-        let north = if k >= columns { map.sizes[k - columns] } else { 1 };
+        let north = if k >= columns {
+            map.sizes[k - columns]
+        } else {
+            1
+        };
         let past = before.map_or(1, |b| b.sizes[k]);
-        let context = usize::from(west > 1) | usize::from(north > 1) << 1 | usize::from(past > 1) << 2 | usize::from(mask.fills[k] == Fill::Mixed) << 3;
+        let context = usize::from(west > 1)
+            | usize::from(north > 1) << 1
+            | usize::from(past > 1) << 2
+            | usize::from(mask.fills[k] == Fill::Mixed) << 3;
         let size = usize::from(map.sizes[k]);
         let mut n = 1;
         while n < PALETTE && coder.bit(&mut models.more[(n - 1) * 16 + context], n < size) {
@@ -197,7 +213,8 @@ pub fn code_palettes<C: Coder>(
                 if tried[c] {
                     continue;
                 }
-                let model = &mut models.candidate[(rank.min(7) * 2 + usize::from(entry > 0)) * 8 + usize::from(list.votes[c])];
+                let model = &mut models.candidate
+                    [(rank.min(7) * 2 + usize::from(entry > 0)) * 8 + usize::from(list.votes[c])];
                 if coder.bit(model, list.ids[c] == id) {
                     found = Some(c);
                     break;
@@ -210,7 +227,9 @@ pub fn code_palettes<C: Coder>(
                 list.ids[c]
             } else if coder.bit(&mut models.none[first], id == NO_SPHERE) {
                 NO_SPHERE
-            } else if new.bound() == 0 || coder.bit(&mut models.new[first], usize::from(id) == new.peek()) {
+            } else if new.bound() == 0
+                || coder.bit(&mut models.new[first], usize::from(id) == new.peek())
+            {
                 let number = new.take();
                 if number >= limit {
                     return Err(NoSuchSphere(number as u32));
@@ -231,20 +250,24 @@ pub fn code_palettes<C: Coder>(
 }
 
 /// Codes the label of each measured pixel.
-pub fn code_pixels<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, mask: &Mask, map: &mut LabelMap, before: Option<&LabelMap>) {
+pub fn code_pixels<C: Coder>(
+    coder: &mut C,
+    models: &mut Models,
+    rays: &Rays,
+    mask: &Mask,
+    map: &mut LabelMap,
+    before: Option<&LabelMap>,
+) {
     let columns = rays.block_columns;
     for k in 0..rays.blocks() {
-        if map.sizes[k] == 1 {
-            let (x0, y0, w, h) = extent(rays, k);
-            for j in 0..h {
-                let start = map.pixels.index(x0, y0 + j);
-                let id = map.palettes[k][0];
-                map.pixels.cells_mut()[start..start + w].fill(id);
-            }
+        if map.sizes[k] <= 1 {
+            let (x0, y0, ..) = extent(rays, k);
+            // an empty block's palette is all NO_SPHERE
+            map.pixels.fill_block(x0, y0, map.palettes[k][0]);
         }
     }
     let stride = map.pixels.stride();
-    for y in 0..rays.height {
+    for y in 0..rays.block_rows * BLOCK {
         for bx in 0..columns {
             let k = y / BLOCK * columns + bx;
             let size = usize::from(map.sizes[k]);
@@ -253,7 +276,7 @@ pub fn code_pixels<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, ma
             }
             let palette = map.palettes[k];
             let start = map.pixels.index(bx * BLOCK, y);
-            for i in start..start + BLOCK.min(rays.width - bx * BLOCK) {
+            for i in start..start + BLOCK {
                 let cells = map.pixels.cells();
                 if mask.pixels.cells()[i] == 0 {
                     let left = cells[i - 1];
@@ -261,7 +284,13 @@ pub fn code_pixels<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, ma
                     continue;
                 }
                 let value = cells[i];
-                let near = [cells[i - 1], cells[i - stride], cells[i - stride - 1], cells[i - stride + 1], before.map_or(NO_SPHERE, |b| b.pixels.cells()[i])];
+                let near = [
+                    cells[i - 1],
+                    cells[i - stride],
+                    cells[i - stride - 1],
+                    cells[i - stride + 1],
+                    before.map_or(NO_SPHERE, |b| b.pixels.cells()[i]),
+                ];
                 let mut entry = 0;
                 while entry + 1 < size {
                     let this = palette[entry];

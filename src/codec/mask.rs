@@ -5,6 +5,7 @@
 
 use super::grid::Plane;
 use super::range_coder::{Bit, Coder};
+use crate::contact_map::contact::measured;
 use crate::deproject::{BLOCK, Rays};
 
 /// Measured pixels of a block.
@@ -30,7 +31,11 @@ pub struct Models {
 
 impl Default for Models {
     fn default() -> Self {
-        Self { full: vec![Bit::default(); 36], empty: vec![Bit::default(); 36], pixel: vec![Bit::default(); 1024] }
+        Self {
+            full: vec![Bit::default(); 36],
+            empty: vec![Bit::default(); 36],
+            pixel: vec![Bit::default(); 1024],
+        }
     }
 }
 
@@ -44,23 +49,31 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// An empty mask over `rays`.
+    /// A mask over `rays` whose pixels are still to be written.
     pub fn reset(&mut self, rays: &Rays) {
-        self.pixels.reset(rays, 0);
+        self.pixels.cover(rays, 0);
         self.fills.clear();
         self.fills.resize(rays.blocks(), Fill::Empty);
     }
 
-    /// Sets `fills` from `pixels`.
-    pub fn sum_up(&mut self, rays: &Rays) {
+    /// Sets pixels and fills from a padded plane of depth integers (0 = no measurement).
+    pub fn measure(&mut self, rays: &Rays, plane: &[u16]) {
+        let stride = rays.stride();
+        for y in 0..rays.height {
+            let start = self.pixels.index(0, y);
+            let row = &mut self.pixels.cells_mut()[start..start + rays.width];
+            for (m, &raw) in row.iter_mut().zip(&plane[y * stride..]) {
+                *m = u8::from(raw != 0);
+            }
+        }
         for k in 0..rays.blocks() {
-            let (x0, y0, w, h) = extent(rays, k);
-            let count: usize = (0..h)
-                .map(|j| {
-                    let start = self.pixels.index(x0, y0 + j);
-                    self.pixels.cells()[start..start + w].iter().map(|&p| usize::from(p)).sum::<usize>()
-                })
-                .sum();
+            let (_, _, w, h) = extent(rays, k);
+            let count = measured(
+                plane,
+                rays,
+                (k % rays.block_columns, k / rays.block_columns),
+            )
+            .count_ones() as usize;
             self.fills[k] = match count {
                 0 => Fill::Empty,
                 n if n == w * h => Fill::Full,
@@ -74,17 +87,39 @@ impl Mask {
 #[inline]
 #[must_use]
 pub fn extent(rays: &Rays, k: usize) -> (usize, usize, usize, usize) {
-    let (x0, y0) = (k % rays.block_columns * BLOCK, k / rays.block_columns * BLOCK);
-    (x0, y0, BLOCK.min(rays.width - x0), BLOCK.min(rays.height - y0))
+    let (x0, y0) = (
+        k % rays.block_columns * BLOCK,
+        k / rays.block_columns * BLOCK,
+    );
+    (
+        x0,
+        y0,
+        BLOCK.min(rays.width - x0),
+        BLOCK.min(rays.height - y0),
+    )
 }
 
 /// Codes `mask`; `before` is the mask of the reference frame.
-pub fn code<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, mask: &mut Mask, before: Option<&Mask>) {
+pub fn code<C: Coder>(
+    coder: &mut C,
+    models: &mut Models,
+    rays: &Rays,
+    mask: &mut Mask,
+    before: Option<&Mask>,
+) {
     let columns = rays.block_columns;
     for k in 0..rays.blocks() {
         let fill = mask.fills[k];
-        let west = if k % columns > 0 { mask.fills[k - 1] } else { Fill::Empty };
-        let north = if k >= columns { mask.fills[k - columns] } else { Fill::Empty };
+        let west = if k % columns > 0 {
+            mask.fills[k - 1]
+        } else {
+            Fill::Empty
+        };
+        let north = if k >= columns {
+            mask.fills[k - columns]
+        } else {
+            Fill::Empty
+        };
         let past = before.map_or(3, |b| b.fills[k] as usize);
         let context = (west as usize * 3 + north as usize) * 4 + past;
         let read = if coder.bit(&mut models.full[context], fill == Fill::Full) {
@@ -95,11 +130,12 @@ pub fn code<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, mask: &mu
             Fill::Mixed
         };
         mask.fills[k] = read;
-        if read == Fill::Full {
+        if read != Fill::Mixed {
+            // cells beyond the image stay 0
             let (x0, y0, w, h) = extent(rays, k);
             for j in 0..h {
                 let start = mask.pixels.index(x0, y0 + j);
-                mask.pixels.cells_mut()[start..start + w].fill(1);
+                mask.pixels.cells_mut()[start..start + w].fill(u8::from(read == Fill::Full));
             }
         }
     }
@@ -112,12 +148,21 @@ pub fn code<C: Coder>(coder: &mut C, models: &mut Models, rays: &Rays, mask: &mu
             let start = mask.pixels.index(bx * BLOCK, y);
             for i in start..start + BLOCK.min(rays.width - bx * BLOCK) {
                 let p = mask.pixels.cells();
-                let near = [p[i - 1], p[i - 2], p[i - stride - 1], p[i - stride], p[i - stride + 1], p[i - 2 * stride]];
+                let near = [
+                    p[i - 1],
+                    p[i - 2],
+                    p[i - stride - 1],
+                    p[i - stride],
+                    p[i - stride + 1],
+                    p[i - 2 * stride],
+                ];
                 let mut context = near.iter().fold(0usize, |c, &n| c << 1 | usize::from(n));
                 context = context << 4
                     | before.map_or(8, |b| {
                         let b = b.pixels.cells();
-                        usize::from(b[i]) << 2 | usize::from(b[i + 1]) << 1 | usize::from(b[i + stride])
+                        usize::from(b[i]) << 2
+                            | usize::from(b[i + 1]) << 1
+                            | usize::from(b[i + stride])
                     });
                 let value = p[i] != 0;
                 let read = coder.bit(&mut models.pixel[context], value);

@@ -38,7 +38,9 @@ pub struct EncodedFrame {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CodecError {
     /// The payload ends early.
-    #[error("payload ends at byte {have}, {need} bytes are needed; the recording is damaged or was cut")]
+    #[error(
+        "payload ends at byte {have}, {need} bytes are needed; the recording is damaged or was cut"
+    )]
     Truncated {
         /// Bytes that must be there.
         need: usize,
@@ -54,7 +56,9 @@ pub enum CodecError {
         what: &'static str,
     },
     /// The checksum does not match.
-    #[error("payload checksum is {found:08x}, its bytes give {computed:08x}; the recording is damaged")]
+    #[error(
+        "payload checksum is {found:08x}, its bytes give {computed:08x}; the recording is damaged"
+    )]
     Checksum {
         /// As written.
         found: u32,
@@ -62,7 +66,10 @@ pub enum CodecError {
         computed: u32,
     },
     /// Another version of the format.
-    #[error("payload is of format version {found}, this program reads version {}; use a newer program", header::VERSION)]
+    #[error(
+        "payload is of format version {found}, this program reads version {}; use a newer program",
+        header::VERSION
+    )]
     Version {
         /// As written.
         found: u8,
@@ -71,7 +78,9 @@ pub enum CodecError {
     #[error("beyond the format's limits: {0}")]
     Limit(String),
     /// A P frame without the frame it refers to.
-    #[error("frame {sequence} refers to frame {reference}, which was not decoded before it; start at a key frame")]
+    #[error(
+        "frame {sequence} refers to frame {reference}, which was not decoded before it; start at a key frame"
+    )]
     MissingReference {
         /// The P frame.
         sequence: u64,

@@ -16,7 +16,11 @@ pub struct Bit {
 
 impl Default for Bit {
     fn default() -> Self {
-        Self { fast: 1 << 15, slow: 1 << 15, seen: 0 }
+        Self {
+            fast: 1 << 15,
+            slow: 1 << 15,
+            seen: 0,
+        }
     }
 }
 
@@ -76,7 +80,14 @@ pub struct Encoder<'a> {
 impl<'a> Encoder<'a> {
     /// Appends to `out`.
     pub fn new(out: &'a mut Vec<u8>) -> Self {
-        Self { out, low: 0, range: u32::MAX, cache: 0, pending: 0, first: true }
+        Self {
+            out,
+            low: 0,
+            range: u32::MAX,
+            cache: 0,
+            pending: 0,
+            first: true,
+        }
     }
 
     #[inline]
@@ -165,7 +176,12 @@ impl<'a> Decoder<'a> {
     /// Reads `bytes` from their start.
     #[must_use]
     pub fn new(bytes: &'a [u8]) -> Self {
-        let mut decoder = Self { bytes, at: 0, code: 0, range: u32::MAX };
+        let mut decoder = Self {
+            bytes,
+            at: 0,
+            code: 0,
+            range: u32::MAX,
+        };
         for _ in 0..4 {
             decoder.code = decoder.code << 8 | decoder.next();
         }

@@ -41,14 +41,20 @@ pub struct Support {
 }
 
 impl Support {
-    const NOWHERE: Self = Self { low: (u16::MAX, u16::MAX), high: (0, 0) };
+    const NOWHERE: Self = Self {
+        low: (u16::MAX, u16::MAX),
+        high: (0, 0),
+    };
 
     /// Supports of all spheres with numbers below `count`.
     pub fn gather(rays: &Rays, map: &LabelMap, count: usize, out: &mut Vec<Self>) {
         out.clear();
         out.resize(count, Self::NOWHERE);
         for (k, (palette, &size)) in map.palettes.iter().zip(&map.sizes).enumerate() {
-            let (x, y) = ((k % rays.block_columns) as u16, (k / rays.block_columns) as u16);
+            let (x, y) = (
+                (k % rays.block_columns) as u16,
+                (k / rays.block_columns) as u16,
+            );
             for &id in &palette[..usize::from(size)] {
                 if id != NO_SPHERE && usize::from(id) < count {
                     let s = &mut out[usize::from(id)];
@@ -73,12 +79,18 @@ impl Support {
 
     fn middle(&self) -> (f64, f64) {
         let block = BLOCK as f64;
-        (0.5 * block * (f64::from(self.low.0) + f64::from(self.high.0) + 1.0) - 0.5, 0.5 * block * (f64::from(self.low.1) + f64::from(self.high.1) + 1.0) - 0.5)
+        (
+            0.5 * block * (f64::from(self.low.0) + f64::from(self.high.0) + 1.0) - 0.5,
+            0.5 * block * (f64::from(self.low.1) + f64::from(self.high.1) + 1.0) - 0.5,
+        )
     }
 
     fn half(&self) -> (f64, f64) {
         let block = BLOCK as f64;
-        (0.5 * block * (f64::from(self.high.0 - self.low.0) + 1.0), 0.5 * block * (f64::from(self.high.1 - self.low.1) + 1.0))
+        (
+            0.5 * block * (f64::from(self.high.0 - self.low.0) + 1.0),
+            0.5 * block * (f64::from(self.high.1 - self.low.1) + 1.0),
+        )
     }
 }
 
@@ -105,7 +117,14 @@ impl Chart {
         let dv = f64::from(rays.v[1]) - f64::from(rays.v[0]);
         let (u, v) = (f64::from(rays.u[0]) + x * du, f64::from(rays.v[0]) + y * dv);
         let (hu, hv) = (hx * du, hy * dv);
-        Self { u, v, q: u * u + v * v + 1.0, hu, hv, bulge: 0.5 * (hu * hu + hv * hv) }
+        Self {
+            u,
+            v,
+            q: u * u + v * v + 1.0,
+            hu,
+            hv,
+            bulge: 0.5 * (hu * hu + hv * hv),
+        }
     }
 
     /// Inverse depth at the middle, or a stand-in where the sphere does not reach it.
@@ -120,11 +139,18 @@ impl Chart {
     fn quantise(&self, sphere: &Sphere, step: f64) -> [i32; 4] {
         let (a, m) = (f64::from(sphere.a), sphere.m.as_dvec3());
         let w = self.inverse_depth(sphere);
-        let round = |x: f64| (x / step + 0.5).floor().clamp(-f64::from(MOST), f64::from(MOST)) as i32;
+        let round = |x: f64| {
+            (x / step + 0.5)
+                .floor()
+                .clamp(-f64::from(MOST), f64::from(MOST)) as i32
+        };
         // implicit derivative of w = a·q/w + m·r
         let slope = 1.0 + a * self.q / (w * w);
         let slope = if slope.abs() < 1e-3 { 1e-3 } else { slope };
-        let (wu, wv) = ((2.0 * a * self.u / w + m.x) / slope, (2.0 * a * self.v / w + m.y) / slope);
+        let (wu, wv) = (
+            (2.0 * a * self.u / w + m.x) / slope,
+            (2.0 * a * self.v / w + m.y) / slope,
+        );
         let (n0, n1, n2) = (round(w), round(wu * self.hu), round(wv * self.hv));
         let (w, bulge) = self.scale([n0, n1, n2], step);
         [n0, n1, n2, round(a / slope * bulge / w)]
@@ -145,12 +171,19 @@ impl Chart {
         let bend = f64::from(n[3]) * step * w / bulge;
         let turn = 1.0 - bend * self.q / (w * w);
         let a = bend / if turn.abs() < 1e-3 { 1e-3 } else { turn };
-        let (wu, wv) = (f64::from(n[1]) * step / self.hu, f64::from(n[2]) * step / self.hv);
+        let (wu, wv) = (
+            f64::from(n[1]) * step / self.hu,
+            f64::from(n[2]) * step / self.hv,
+        );
         let slope = 1.0 + a * self.q / (w * w);
         let mx = wu * slope - 2.0 * a * self.u / w;
         let my = wv * slope - 2.0 * a * self.v / w;
         let mz = w - a * self.q / w - mx * self.u - my * self.v;
-        Sphere { a: a as f32, m: Vec3::new(mx as f32, my as f32, mz as f32), far }
+        Sphere {
+            a: a as f32,
+            m: Vec3::new(mx as f32, my as f32, mz as f32),
+            far,
+        }
     }
 }
 
@@ -192,12 +225,24 @@ pub fn code_entry<C: Coder>(
     let chart = Chart::new(rays, support);
     let (sphere, size) = match statement {
         Some(Statement::Sphere(sphere, size)) => (sphere, size),
-        _ => (Sphere { a: 0.0, m: Vec3::Z, far: false }, 1.0),
+        _ => (
+            Sphere {
+                a: 0.0,
+                m: Vec3::Z,
+                far: false,
+            },
+            1.0,
+        ),
     };
     let wanted = (size.log2().floor() as i32).clamp(STEP_MIN, STEP_MAX);
     let guide = before.or(*last);
     let log = match guide {
-        Some(g) => i32::from(g.step) + models.step_change.code_signed(coder, wanted - i32::from(g.step)),
+        Some(g) => {
+            i32::from(g.step)
+                + models
+                    .step_change
+                    .code_signed(coder, wanted - i32::from(g.step))
+        }
         None => models.step.code(coder, (wanted - STEP_MIN) as u32) as i32 + STEP_MIN,
     };
     // any bytes decode to something in range
@@ -211,20 +256,29 @@ pub fn code_entry<C: Coder>(
         let guess = chart.quantise(&b.sphere, step);
         for k in 0..4 {
             if k < 3 || !plane {
-                read[k] = add(guess[k], models.change[k].code_signed(coder, clamp(numbers[k] - guess[k])));
+                read[k] = add(
+                    guess[k],
+                    models.change[k].code_signed(coder, clamp(numbers[k] - guess[k])),
+                );
             }
         }
     } else {
         // depth runs on from the sphere before, tilt and curvature do not
         let guess = last.map_or(0, |l| chart.quantise(&l.sphere, step)[0]);
-        read[0] = add(guess, models.fresh[0].code_signed(coder, clamp(numbers[0] - guess)));
+        read[0] = add(
+            guess,
+            models.fresh[0].code_signed(coder, clamp(numbers[0] - guess)),
+        );
         for k in 1..4 {
             if k < 3 || !plane {
                 read[k] = models.fresh[k].code_signed(coder, numbers[k]);
             }
         }
     }
-    let entry = Entry { sphere: chart.restore(read, step, far), step: log as i8 };
+    let entry = Entry {
+        sphere: chart.restore(read, step, far),
+        step: log as i8,
+    };
     *last = Some(entry);
     entry
 }

@@ -5,6 +5,7 @@ use super::label_map::{self, LabelMap, NewNumbers};
 use super::mask::{self, Mask};
 use super::residual;
 use super::sphere_table::{self, Entry, Support};
+use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
 use crate::fit::sphere::Sphere;
@@ -58,15 +59,58 @@ impl State {
         self.now.active.clear();
         self.now.active.resize(rays.blocks(), false);
         self.now.entries.clear();
-        self.new.reset(self.before.entries.iter().map(Option::is_some));
+        self.new
+            .reset(self.before.entries.iter().map(Option::is_some));
     }
 
-    /// Fills `predicted` and `rebuilt` from masks, labels and spheres.
+    /// Fills `predicted` and `rebuilt` from masks, labels and spheres, and clears `k`.
     pub fn predict(&mut self, rays: &Rays) {
-        let State { now, predicted, rebuilt, .. } = self;
-        predicted.reset(rays, 0.0);
-        rebuilt.reset(rays, 0);
+        self.cover(rays);
+        let State {
+            now,
+            predicted,
+            rebuilt,
+            ..
+        } = self;
         predict_all(rays, now, predicted, rebuilt);
+    }
+
+    /// The same, and marks in `hits` the pixels of `plane` that touch their sphere (bit `8·row +
+    /// column` of each block).
+    pub fn predict_and_test(
+        &mut self,
+        rays: &Rays,
+        plane: &[u16],
+        reach: &Reach,
+        hits: &mut Vec<u64>,
+    ) {
+        self.cover(rays);
+        hits.clear();
+        hits.resize(rays.blocks(), 0);
+        let State {
+            now,
+            predicted,
+            rebuilt,
+            ..
+        } = self;
+        predict_all(rays, now, predicted, rebuilt);
+        test_all(rays, now, predicted, plane, reach, hits);
+    }
+
+    fn cover(&mut self, rays: &Rays) {
+        self.predicted.cover(rays, 0.0);
+        self.rebuilt.cover(rays, 0);
+        self.k.cover(rays, 0);
+        // only blocks that were active in the last frame hold any k
+        for (block, &active) in self.before.active.iter().enumerate() {
+            if active {
+                self.k.fill_block(
+                    block % rays.block_columns * BLOCK,
+                    block / rays.block_columns * BLOCK,
+                    0,
+                );
+            }
+        }
     }
 }
 
@@ -77,7 +121,15 @@ fn predict_all(rays: &Rays, now: &Picture, predicted: &mut Plane<f32>, rebuilt: 
         let size = usize::from(now.map.sizes[k]);
         for &id in &now.map.palettes[k][..size] {
             if let Some(Some(entry)) = now.entries.get(usize::from(id)) {
-                predict_block(rays, k, &entry.sphere, (size > 1).then_some(id), &now.map.pixels, predicted, rebuilt);
+                predict_block(
+                    rays,
+                    k,
+                    &entry.sphere,
+                    (size > 1).then_some(id),
+                    &now.map.pixels,
+                    predicted,
+                    rebuilt,
+                );
             }
         }
     }
@@ -85,35 +137,104 @@ fn predict_all(rays: &Rays, now: &Picture, predicted: &mut Plane<f32>, rebuilt: 
 
 /// Predicts one block from one sphere: all of it, or the pixels labelled `only`.
 #[inline(always)]
-fn predict_block(rays: &Rays, k: usize, sphere: &Sphere, only: Option<u16>, labels: &Plane<u16>, predicted: &mut Plane<f32>, rebuilt: &mut Plane<u16>) {
-    let (x0, y0) = (k % rays.block_columns * BLOCK, k / rays.block_columns * BLOCK);
-    let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else { return };
+fn predict_block(
+    rays: &Rays,
+    k: usize,
+    sphere: &Sphere,
+    only: Option<u16>,
+    labels: &Plane<u16>,
+    predicted: &mut Plane<f32>,
+    rebuilt: &mut Plane<u16>,
+) {
+    let (x0, y0) = (
+        k % rays.block_columns * BLOCK,
+        k / rays.block_columns * BLOCK,
+    );
+    let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
+        return;
+    };
+    let (a4, side) = (4.0 * sphere.a, if sphere.far { -1.0 } else { 1.0 });
     for j in 0..BLOCK {
         let v = rays.v[y0 + j];
         let start = predicted.index(x0, y0 + j);
         let mut d = [0f32; BLOCK];
         for i in 0..BLOCK {
             let q = u[i] * u[i] + v * v + 1.0;
-            d[i] = rays.per_metre / sphere.inverse_depth(u[i], v, q);
+            let l = sphere.m.x * u[i] + sphere.m.y * v + sphere.m.z;
+            d[i] = rays.per_metre / (0.5 * (l + side * (l * l + a4 * q).sqrt()));
         }
-        let row = &mut predicted.cells_mut()[start..start + BLOCK];
-        let whole = &mut rebuilt.cells_mut()[start..start + BLOCK];
+        let Some(row) = predicted.cells_mut()[start..].first_chunk_mut::<BLOCK>() else {
+            return;
+        };
+        let Some(whole) = rebuilt.cells_mut()[start..].first_chunk_mut::<BLOCK>() else {
+            return;
+        };
         match only {
             None => {
+                *row = d;
                 for i in 0..BLOCK {
-                    row[i] = d[i];
                     whole[i] = to_integer(d[i]);
                 }
             }
             Some(id) => {
-                let labels = &labels.cells()[start..start + BLOCK];
+                let Some(labels) = labels.cells()[start..].first_chunk::<BLOCK>() else {
+                    return;
+                };
                 for i in 0..BLOCK {
-                    if labels[i] == id {
-                        row[i] = d[i];
-                        whole[i] = to_integer(d[i]);
-                    }
+                    let this = labels[i] == id;
+                    row[i] = if this { d[i] } else { row[i] };
+                    whole[i] = if this { to_integer(d[i]) } else { whole[i] };
                 }
             }
+        }
+    }
+}
+
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2"))]
+fn test_all(
+    rays: &Rays,
+    now: &Picture,
+    predicted: &Plane<f32>,
+    plane: &[u16],
+    reach: &Reach,
+    hits: &mut [u64],
+) {
+    let stride = rays.stride();
+    for (k, hits) in hits.iter_mut().enumerate() {
+        let size = usize::from(now.map.sizes[k]);
+        if size == 0 {
+            continue;
+        }
+        let (x0, y0) = (
+            k % rays.block_columns * BLOCK,
+            k / rays.block_columns * BLOCK,
+        );
+        let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
+            return;
+        };
+        let all_spheres = !now.map.palettes[k][..size].contains(&NO_SPHERE);
+        for j in 0..BLOCK {
+            let v = rays.v[y0 + j];
+            let start = predicted.index(x0, y0 + j);
+            let Some(p) = predicted.cells()[start..].first_chunk::<BLOCK>() else {
+                return;
+            };
+            let Some(raw) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
+                return;
+            };
+            let Some(labels) = now.map.pixels.cells()[start..].first_chunk::<BLOCK>() else {
+                return;
+            };
+            let mut on = [0u8; BLOCK];
+            for i in 0..BLOCK {
+                let q = u[i] * u[i] + v * v + 1.0;
+                let sphere = all_spheres | (labels[i] != NO_SPHERE);
+                on[i] =
+                    u8::from(reach.touches(f32::from(raw[i]), p[i], q) & (raw[i] != 0) & sphere);
+            }
+            let packed = u64::from_le_bytes(on).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+            *hits |= packed << (8 * j);
         }
     }
 }

@@ -146,7 +146,9 @@ pub enum ExportError {
         what: String,
     },
     /// Depth or labels are not one per pixel: a fault of the caller.
-    #[error("frame {sequence} has {depth} depths and {labels} labels, the camera has {pixels} pixels")]
+    #[error(
+        "frame {sequence} has {depth} depths and {labels} labels, the camera has {pixels} pixels"
+    )]
     FrameSize {
         /// The source's frame number.
         sequence: u64,

@@ -29,7 +29,10 @@ pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
     let mut count = 0u64;
     for point in frame.points() {
         let mut record = [0; POINT];
-        for (bytes, value) in record[..12].chunks_exact_mut(4).zip(point.position.to_array()) {
+        for (bytes, value) in record[..12]
+            .chunks_exact_mut(4)
+            .zip(point.position.to_array())
+        {
             bytes.copy_from_slice(&value.to_le_bytes());
         }
         record[12..15].copy_from_slice(&color::of_sphere(point.sphere));
@@ -46,9 +49,8 @@ pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
 pub fn spheres(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
     file.clear();
     begin(file, frame);
-    let present = |(slot, sphere): (usize, &Option<Sphere>)| {
-        Some((u16::try_from(slot).ok()?, (*sphere)?))
-    };
+    let present =
+        |(slot, sphere): (usize, &Option<Sphere>)| Some((u16::try_from(slot).ok()?, (*sphere)?));
     let count = frame.spheres.iter().enumerate().filter_map(present).count();
     let header = format!(
         "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\n\

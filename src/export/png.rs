@@ -33,7 +33,9 @@ pub fn draw(frame: &ExportFrame<'_>, (width, height): (u32, u32), picture: &mut 
     let middle = |at: u32, of: u32, full: u32| {
         ((2 * u64::from(at) + 1) * u64::from(full) / (2 * u64::from(of))) as usize
     };
-    let across: Vec<_> = (0..width).map(|u| middle(u, width, frame.camera.width)).collect();
+    let across: Vec<_> = (0..width)
+        .map(|u| middle(u, width, frame.camera.width))
+        .collect();
     let rows = picture.rgb.chunks_exact_mut(width as usize * 3);
     for (v, row) in (0..height).zip(rows) {
         let start = middle(v, height, frame.camera.height) * frame.camera.width as usize;
@@ -53,7 +55,11 @@ pub fn draw(frame: &ExportFrame<'_>, (width, height): (u32, u32), picture: &mut 
 /// What the encoder says.
 pub fn picture(frame: &ExportFrame<'_>, file: &mut Vec<u8>) -> Result<(), String> {
     let mut picture = Picture::default();
-    draw(frame, (frame.camera.width, frame.camera.height), &mut picture);
+    draw(
+        frame,
+        (frame.camera.width, frame.camera.height),
+        &mut picture,
+    );
     file.clear();
     PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Sub)
         .write_image(

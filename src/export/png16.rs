@@ -11,7 +11,11 @@ use std::path::Path;
 /// # Errors
 /// [`CaptureError`] names the file and the cause.
 pub fn depth(frame: &ExportFrame<'_>, path: &Path) -> Result<(), CaptureError> {
-    let codes: Vec<u16> = frame.depth_m.iter().map(|z| code(frame.camera, *z)).collect();
+    let codes: Vec<u16> = frame
+        .depth_m
+        .iter()
+        .map(|z| code(frame.camera, *z))
+        .collect();
     png::write_png_depth(path, frame.camera.width, frame.camera.height, &codes)
 }
 
@@ -33,6 +37,8 @@ pub fn code(camera: &Camera, depth_m: f32) -> u16 {
         return 0;
     }
     let wanted = units as u16;
-    let free = (1..=wanted).rev().find(|code| !camera.invalid.contains(code));
+    let free = (1..=wanted)
+        .rev()
+        .find(|code| !camera.invalid.contains(code));
     free.unwrap_or(0)
 }

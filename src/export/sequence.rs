@@ -51,7 +51,9 @@ impl FromStr for Format {
     type Err = ExportError;
 
     fn from_str(name: &str) -> Result<Self, ExportError> {
-        let known = Self::NAMES.iter().find(|(n, _)| n.eq_ignore_ascii_case(name));
+        let known = Self::NAMES
+            .iter()
+            .find(|(n, _)| n.eq_ignore_ascii_case(name));
         known
             .map(|(_, format)| *format)
             .ok_or_else(|| ExportError::UnknownFormat(name.to_owned()))
@@ -81,7 +83,7 @@ impl Output {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct ExportSummary {
     /// File or folder.
-    pub path: PathBuf,
+    pub path: String,
     /// Files, `camera.json` not counted.
     pub files: u64,
     /// Their bytes.
@@ -165,7 +167,7 @@ impl FileSequence {
             return Err(ExportError::Empty { path });
         }
         Ok(ExportSummary {
-            path,
+            path: path.display().to_string(),
             files: self.files,
             bytes: self.bytes,
         })
@@ -273,9 +275,10 @@ fn prepare(folder: &Path, format: Format, overwrite: bool) -> io::Result<()> {
     }
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
-        let numbered = path.file_stem().and_then(|stem| stem.to_str()).is_some_and(|stem| {
-            stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit())
-        });
+        let numbered = path
+            .file_stem()
+            .and_then(|stem| stem.to_str())
+            .is_some_and(|stem| stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit()));
         if numbered && path.extension().is_some_and(|e| e == format.extension()) {
             fs::remove_file(path)?;
         }

@@ -152,10 +152,9 @@ fn find<'t>(tree: &'t Value, path: &mut Vec<&'t Value>) -> Option<Result<Intrins
     }
     if path.len() < MAX_NESTING {
         for key in NESTED {
-            if let Some(inner) = lookup(tree, &[*key]).filter(|inner| inner.is_object()) {
-                if let Some(found) = find(inner, path) {
-                    return Some(found);
-                }
+            let inner = lookup(tree, &[*key]).filter(|inner| inner.is_object());
+            if let Some(found) = inner.and_then(|inner| find(inner, path)) {
+                return Some(found);
             }
         }
     }

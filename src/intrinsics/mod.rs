@@ -2,7 +2,7 @@
 //!
 //! Read here: our `camera.json`, ROS `camera_info` YAML, OpenCV `FileStorage` YAML and JSON,
 //! ORB-SLAM settings, Open3D and RealSense JSON, a bare 3×3 matrix, and the text `fx,fy,cx,cy`.
-//! [`layouts`] finds the numbers, [`yaml`] turns YAML into the tree JSON gives.
+//! `layouts` finds the numbers, `yaml` turns YAML into the tree JSON gives.
 //!
 //! The model is a pinhole without lens distortion. Depth cameras deliver rectified depth, so a
 //! file with non-zero distortion is read, and said aloud, but the distortion is not applied.

@@ -54,6 +54,22 @@ pub fn calibration(camera: &Camera, time_ns: u64) -> serde_json::Value {
     })
 }
 
+/// The whole camera as JSON. JSON has no infinity: an open depth range ends at the largest number,
+/// and a value that is no number at all is left out or becomes that bound too.
+#[must_use]
+pub fn camera_text(camera: &Camera) -> String {
+    let mut camera = camera.clone();
+    camera.fps = camera.fps.filter(|fps| fps.is_finite());
+    if !camera.depth_max_m.is_finite() {
+        camera.depth_max_m = f64::MAX;
+    }
+    if !camera.depth_min_m.is_finite() {
+        camera.depth_min_m = 0.0;
+    }
+    // a struct of finite numbers, strings and a list always has a JSON form
+    serde_json::to_string(&camera).unwrap_or_default()
+}
+
 /// JSON schema of a serialised [`Camera`].
 #[must_use]
 pub fn camera_schema() -> serde_json::Value {

@@ -88,6 +88,9 @@ impl Source {
     pub fn record_at(&self, offset: u64) -> Result<(u8, u64), String> {
         let mut prefix = [0; PREFIX as usize];
         let room = self.length.saturating_sub(offset);
+        if room == 0 {
+            return Err("its end mark is missing".to_owned());
+        }
         if room < PREFIX {
             return Err(format!("the file ends {room} bytes into a record"));
         }

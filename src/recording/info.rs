@@ -3,7 +3,6 @@
 use crate::frame::{Camera, FrameTime};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// One channel of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -35,7 +34,7 @@ pub struct Damage {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Info {
     /// The file.
-    pub path: PathBuf,
+    pub path: String,
     /// Size of the file, bytes.
     pub bytes: u64,
     /// What wrote it.

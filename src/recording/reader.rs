@@ -181,7 +181,8 @@ impl RecordingReader {
         }
     }
 
-    /// Colour images that came with the frame last read: recorded since the frame before it.
+    /// Colour images that came with the frame last read: recorded since the frame before it. Of
+    /// their numbers the low 32 bits are kept.
     pub fn take_colors(&mut self) -> Vec<ColorFrame> {
         std::mem::take(&mut self.colors)
     }
@@ -213,7 +214,7 @@ impl RecordingReader {
         let mut channels: Vec<_> = self.index.channels.by_id.values().collect();
         channels.sort_by(|a, b| a.topic.cmp(&b.topic));
         Info {
-            path: self.source.path.clone(),
+            path: self.source.path.display().to_string(),
             bytes: self.source.length,
             generator,
             frames: tally.frames,

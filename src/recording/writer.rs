@@ -1,7 +1,7 @@
 //! Writing a recording: frames, colour and statistics into chunks that are safe once closed.
 
 use super::calibration::{
-    CALIBRATION_SCHEMA, CAMERA_SCHEMA, calibration, calibration_schema, camera_schema,
+    CALIBRATION_SCHEMA, CAMERA_SCHEMA, calibration, calibration_schema, camera_schema, camera_text,
 };
 use super::message::{self, FrameHeader};
 use super::sink::Sink;
@@ -67,7 +67,7 @@ pub struct RecordingWriter {
     color: Option<u16>,
     tally: Tally,
     chunk: Chunk,
-    /// Added to the device clock to make a log time; set by the first message.
+    /// Added to the device clock to make a log time; set by the first image.
     clock_offset: Option<i64>,
     kept_frames: u64,
     kept_bytes: u64,
@@ -83,22 +83,25 @@ pub struct RecordingWriter {
 struct Chunk {
     /// When its first message came; `None` while it is empty.
     since: Option<Instant>,
-    first_ns: i64,
+    /// Device time of its first frame, ns. Other messages may keep a clock of their own.
+    first_ns: Option<i64>,
     bytes: usize,
 }
 
 impl Chunk {
-    /// Whether the chunk must be closed before a message of `bytes` at `device_ns` goes in.
-    fn is_full(&self, device_ns: i64, key: bool, bytes: usize, now: Instant) -> bool {
+    /// Whether the chunk must be closed before a message of `bytes` goes in.
+    fn is_full(&self, kind: Kind, bytes: usize, now: Instant) -> bool {
         let Some(since) = self.since else {
             return false;
         };
-        let span = device_ns.saturating_sub(self.first_ns).saturating_abs();
+        let span = match (kind, self.first_ns) {
+            (Kind::Key(ns) | Kind::Predicted(ns), Some(first)) => ns.saturating_sub(first),
+            _ => 0,
+        };
+        let span = span.saturating_abs();
         let age = now.saturating_duration_since(since);
-        span >= CHUNK_STREAM_NS
-            || age >= CHUNK_AGE
-            || self.bytes + bytes > CHUNK_BYTES
-            || (key && span >= CHUNK_STREAM_NS / 2)
+        let early = matches!(kind, Kind::Key(_)) && span >= CHUNK_STREAM_NS / 2;
+        span >= CHUNK_STREAM_NS || age >= CHUNK_AGE || self.bytes + bytes > CHUNK_BYTES || early
     }
 }
 
@@ -149,7 +152,7 @@ impl RecordingWriter {
     fn begin(&mut self, notes: &BTreeMap<String, String>) -> Result<(), RecordingError> {
         let mut facts = notes.clone();
         facts.insert("generator".to_owned(), generator());
-        facts.insert("camera".to_owned(), json_text(&self.camera));
+        facts.insert("camera".to_owned(), camera_text(&self.camera));
         let schema = ("saint-live.frame", "text", SAINT_SCHEMA.to_owned());
         self.saint = self.add_channel(SAINT_TOPIC, SAINT_ENCODING, schema, &facts)?;
         self.calibration = self.add_json(
@@ -175,7 +178,12 @@ impl RecordingWriter {
             sequence: frame.sequence,
             time: frame.time,
         };
-        let kind = if header.key { Kind::Key } else { Kind::Other };
+        let kind = if header.key {
+            Kind::Key(header.time.device_ns)
+        } else {
+            Kind::Predicted(header.time.device_ns)
+        };
+        self.set_clock(header.time);
         let result = self.put(
             self.saint,
             SAINT_TOPIC,
@@ -203,6 +211,7 @@ impl RecordingWriter {
                 *self.color.insert(channel)
             }
         };
+        self.set_clock(frame.time);
         let stamp = self.log_time(frame.time);
         let mut message = std::mem::take(&mut self.message);
         color::write(frame, stamp, &mut message);
@@ -217,7 +226,7 @@ impl RecordingWriter {
         result
     }
 
-    /// Appends one set of statistics.
+    /// Appends one set of statistics, at the time of the frame they follow.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
@@ -335,16 +344,15 @@ impl RecordingWriter {
             });
         }
         let now = Instant::now();
-        if self
-            .chunk
-            .is_full(time.device_ns, kind == Kind::Key, data.len(), now)
-        {
+        if self.chunk.is_full(kind, data.len(), now) {
             self.close_chunk()?;
         }
         if self.chunk.since.is_none() {
             self.tally.open_chunk();
             self.chunk.since = Some(now);
-            self.chunk.first_ns = time.device_ns;
+        }
+        if let Kind::Key(ns) | Kind::Predicted(ns) = kind {
+            self.chunk.first_ns.get_or_insert(ns);
         }
         if !self.described {
             self.describe_camera(time)?;
@@ -363,7 +371,7 @@ impl RecordingWriter {
             (0, time),
             text.as_bytes(),
         )?;
-        let text = json_text(&self.camera);
+        let text = camera_text(&self.camera);
         self.append(
             self.camera_channel,
             CAMERA_TOPIC,
@@ -395,14 +403,20 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// MCAP's log time: the device clock moved to the first message's wall clock.
-    fn log_time(&mut self, time: FrameTime) -> u64 {
-        let offset = *self.clock_offset.get_or_insert(if time.wall_ns == 0 {
-            0
-        } else {
-            time.wall_ns.saturating_sub(time.device_ns)
+    /// The first image decides how the device clock is moved to the wall clock.
+    fn set_clock(&mut self, time: FrameTime) {
+        self.clock_offset.get_or_insert(match time.wall_ns {
+            0 => 0,
+            wall => wall.saturating_sub(time.device_ns),
         });
-        u64::try_from(time.device_ns.saturating_add(offset)).unwrap_or(0)
+    }
+
+    /// MCAP's log time: the device clock, moved.
+    fn log_time(&self, time: FrameTime) -> u64 {
+        let moved = time
+            .device_ns
+            .saturating_add(self.clock_offset.unwrap_or(0));
+        u64::try_from(moved).unwrap_or(0)
     }
 
     fn close_chunk(&mut self) -> Result<(), RecordingError> {
@@ -468,10 +482,11 @@ impl Drop for RecordingWriter {
     }
 }
 
-/// What the chunking rule wants to know of a message.
-#[derive(Clone, Copy, PartialEq, Eq)]
+/// What the chunking rule wants to know of a message: a frame's device time, ns.
+#[derive(Clone, Copy)]
 enum Kind {
-    Key,
+    Key(i64),
+    Predicted(i64),
     Other,
 }
 
@@ -484,11 +499,6 @@ i64 wall clock ns, then the payload that src/codec/FORMAT.md of saint-live descr
 
 fn generator() -> String {
     concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned()
-}
-
-fn json_text(camera: &Camera) -> String {
-    // a struct of numbers, strings and a list always has a JSON form
-    serde_json::to_string(camera).unwrap_or_default()
 }
 
 fn write_error(error: McapError, target: &str, frames: u64, bytes: u64) -> RecordingError {

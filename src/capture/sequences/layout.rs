@@ -8,6 +8,8 @@ use crate::intrinsics::Calibration;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+const WHAT_TO_GIVE: &str =
+    "give a folder of depth images, one image or a pattern like depth_%06d.exr";
 /// Names of the folder of colour images beside `depth/`.
 const COLOR_FOLDERS: [&str; 3] = ["colour", "color", "rgb"];
 
@@ -70,18 +72,17 @@ pub(super) fn find(input_path: &Path) -> Result<Layout, CaptureError> {
     };
     let name = input_path.file_name().unwrap_or_default().to_string_lossy();
     let pattern = Pattern::parse(&name).filter(|_| !input_path.exists());
-    if pattern.is_none() {
-        if let Err(error) = std::fs::metadata(input_path) {
-            let remedy =
-                "give a folder of depth images, one image or a pattern like depth_%06d.exr";
-            return Err(input(input_path, error.to_string(), remedy));
-        }
+    if let Some(error) = std::fs::metadata(input_path)
+        .err()
+        .filter(|_| pattern.is_none())
+    {
+        return Err(input(input_path, error.to_string(), WHAT_TO_GIVE));
     }
     let Some(format) = Format::of(input_path) else {
         return Err(input(
             input_path,
             "neither an .exr nor a .png image nor a folder",
-            "give a folder of depth images, one image or a pattern like depth_%06d.exr",
+            WHAT_TO_GIVE,
         ));
     };
     let Some(pattern) = pattern else {

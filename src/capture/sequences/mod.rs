@@ -1,8 +1,8 @@
 //! Recorded sequences: folders and files of depth images as a [`FrameSource`].
 //!
-//! [`open`] decides the layout ([`layout`], [`tum`]), the numbering and the gaps ([`numbering`])
-//! and the times ([`timestamps`]); [`source`] then reads one image per frame ([`exr`], [`png`]).
-//! Float depth becomes integers in one place ([`metres`]).
+//! [`open`] decides the layout (`layout`, `tum`), the numbering and the gaps (`numbering`), the
+//! times (`timestamps`) and who is believed about the camera (`camera`); `source` then reads one
+//! image per frame ([`exr`], [`png`]). Float depth becomes integers in one place (`metres`).
 //!
 //! | input | what is read |
 //! |---|---|
@@ -12,6 +12,7 @@
 //! | `depth_%06d.exr` | the files of that name, in numeric order |
 //! | `frame.exr`, `frame.png` | one frame |
 
+mod camera;
 pub mod camera_json;
 pub mod exr;
 pub mod exr_attributes;
@@ -42,6 +43,21 @@ pub enum ExrDepth {
     Ray,
     /// One over the planar distance, 1/metres.
     Inverse,
+}
+
+impl std::str::FromStr for ExrDepth {
+    type Err = CaptureError;
+
+    fn from_str(name: &str) -> Result<Self, CaptureError> {
+        match name {
+            "planar" => Ok(Self::Planar),
+            "ray" => Ok(Self::Ray),
+            "inverse" => Ok(Self::Inverse),
+            _ => Err(CaptureError::Usage(format!(
+                "EXR depth \"{name}\": planar, ray or inverse expected"
+            ))),
+        }
+    }
 }
 
 /// What the user said about a recorded sequence; everything here wins over the files.
@@ -96,6 +112,13 @@ fn check(options: &SequenceOptions) -> Result<(), CaptureError> {
                 "the {what} is {value}, but it must be above 0"
             )));
         }
+    }
+    if let Some(min) = options
+        .depth_min_m
+        .filter(|min| !(min.is_finite() && *min >= 0.0))
+    {
+        let what = format!("the nearest depth is {min}, but it must be 0 or more");
+        return Err(CaptureError::Usage(what));
     }
     Ok(())
 }
@@ -175,5 +198,7 @@ struct ColorFile {
     time: Option<crate::frame::FrameTime>,
 }
 
+#[cfg(test)]
+mod damage_tests;
 #[cfg(test)]
 mod tests;

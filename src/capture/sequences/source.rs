@@ -1,14 +1,13 @@
 //! A sequence of image files as a [`FrameSource`].
 
+use super::camera::Known;
 use super::exr::{ExrChannel, ExrImage, read_exr_depth};
-use super::exr_attributes::ExrAttributes;
 use super::layout::{Format, Layout};
 use super::metres::{Planar, Refused};
 use super::png::read_png_depth;
-use super::{ColorFile, FrameFile, SequenceOptions, calibration_error, in_frame, input, numbering};
+use super::{ColorFile, FrameFile, SequenceOptions, in_frame, input, numbering};
 use crate::capture::{CaptureError, FrameSource, Next, SourceLosses};
-use crate::frame::{Camera, ColorFrame, DepthFrame, FrameTime, Intrinsics};
-use crate::intrinsics::{Calibration, HOW_TO_GIVE};
+use crate::frame::{Camera, ColorFrame, DepthFrame, FrameTime};
 use std::path::Path;
 
 /// Rate of sequences that name neither times nor a rate.
@@ -29,6 +28,8 @@ pub(super) struct ImageSequence {
     position: usize,
     /// Where times are counted from when a file has none: a frame number and its time.
     anchor: (u64, FrameTime),
+    /// The camera came from the images' own attributes: all of them must agree.
+    by_attributes: bool,
     losses: SourceLosses,
     refused: Refused,
     /// Colour of the frame returned last.
@@ -123,15 +124,18 @@ impl ImageSequence {
         let (width, height) = images.size;
         let intrinsics = known.intrinsics(width, height)?;
         let planar = Planar::new(options.exr_depth, &intrinsics, width, height);
-        let camera = known.camera(images.size, intrinsics, &frames, |attributes_unit| {
-            match (layout.format, attributes_unit) {
+        let camera = known.camera(images.size, intrinsics, &frames, |said| {
+            match (layout.format, said) {
                 (_, Some(unit)) => unit,
                 (Format::Png, None) => DEFAULT_PNG_UNIT_M,
                 (Format::Exr, None) => planar.fitting_unit_m(&images.exr.values),
             }
         })?;
+        let by_attributes =
+            options.calibration.is_none() && images.exr.attributes.intrinsics.is_some();
         Ok(Self {
             camera,
+            by_attributes,
             frames,
             images,
             planar,
@@ -226,6 +230,20 @@ impl FrameSource for ImageSequence {
             let error = input(&path, what, "keep images of one size in a sequence");
             return Err(in_frame(error, number));
         }
+        let own = self
+            .images
+            .exr
+            .attributes
+            .intrinsics
+            .filter(|_| self.by_attributes);
+        if let Some(own) = own.filter(|own| *own != self.camera.intrinsics) {
+            let what = format!(
+                "{own:?}, but the first frame has {:?}",
+                self.camera.intrinsics
+            );
+            let remedy = "keep images of one camera in a sequence, or give --intrinsics for all";
+            return Err(in_frame(input(&path, what, remedy), number));
+        }
         match self.images.format {
             Format::Png => {
                 std::mem::swap(&mut frame.depth, &mut self.images.png);
@@ -294,127 +312,4 @@ fn report_gaps(input_path: &Path, frames: &[FrameFile]) {
             input_path.display()
         );
     }
-}
-
-/// All that is known of the camera, by who said it.
-struct Known<'a> {
-    options: &'a SequenceOptions,
-    layout: &'a Layout,
-    attributes: &'a ExrAttributes,
-}
-
-impl Known<'_> {
-    /// The user's calibration, else the image's attributes, else `camera.json`.
-    fn intrinsics(&self, width: u32, height: u32) -> Result<Intrinsics, CaptureError> {
-        let path = &self.layout.input;
-        let sized = |calibration: &Calibration| {
-            let sized = calibration.for_size(width, height);
-            sized.map_err(|error| calibration_error(error, path))
-        };
-        if let Some(calibration) = &self.options.calibration {
-            return sized(calibration);
-        }
-        if let Some(intrinsics) = self.attributes.intrinsics {
-            return Ok(intrinsics);
-        }
-        if let Some(calibration) = &self.layout.sidecar {
-            return sized(calibration);
-        }
-        let what = "the camera's intrinsics are missing";
-        let remedy = format!("{HOW_TO_GIVE}{}", self.layout.suggestion);
-        Err(input(path, what, remedy))
-    }
-
-    fn camera(
-        &self,
-        (width, height): (u32, u32),
-        intrinsics: Intrinsics,
-        frames: &[FrameFile],
-        unit: impl Fn(Option<f64>) -> f64,
-    ) -> Result<Camera, CaptureError> {
-        let (options, attributes) = (self.options, self.attributes);
-        let (given, sidecar) = (options.calibration.as_ref(), self.layout.sidecar.as_ref());
-        // The attribute is before the calibration file: only with it do integers come back exact.
-        let said = options
-            .depth_unit_m
-            .or(attributes.depth_unit_m)
-            .or_else(|| given?.depth_unit_m)
-            .or_else(|| sidecar?.depth_unit_m)
-            .or(self.layout.unit_m);
-        let depth_unit_m = unit(said);
-        let input_path = self.layout.input.display();
-        if said.is_some() {
-            tracing::info!("{input_path}: depth unit {depth_unit_m} m");
-        } else if self.layout.format == Format::Png {
-            tracing::warn!(
-                "{input_path}: no depth unit given: {depth_unit_m} m assumed; --depth-unit sets it"
-            );
-        } else {
-            tracing::info!(
-                "{input_path}: depth is rounded to {depth_unit_m} m; --depth-unit sets it"
-            );
-        }
-        let depth_min_m = options
-            .depth_min_m
-            .or_else(|| given?.depth_min_m)
-            .or(attributes.depth_min_m)
-            .or_else(|| sidecar?.depth_min_m)
-            .unwrap_or(0.0);
-        let depth_max_m = options
-            .depth_max_m
-            .or_else(|| given?.depth_max_m)
-            .or(attributes.depth_max_m)
-            .or_else(|| sidecar?.depth_max_m)
-            .unwrap_or(65535.0 * depth_unit_m);
-        if depth_min_m >= depth_max_m {
-            return Err(CaptureError::Usage(format!(
-                "{input_path}: the depth range {depth_min_m} to {depth_max_m} m is empty"
-            )));
-        }
-        let mut invalid = options
-            .invalid
-            .clone()
-            .or_else(|| given?.invalid.clone())
-            .or_else(|| attributes.invalid.clone())
-            .or_else(|| sidecar?.invalid.clone())
-            .unwrap_or_else(|| vec![0]);
-        invalid.sort_unstable();
-        invalid.dedup();
-        Ok(Camera {
-            width,
-            height,
-            intrinsics,
-            depth_unit_m,
-            invalid,
-            depth_min_m,
-            depth_max_m,
-            fps: options
-                .fps
-                .or_else(|| given?.fps)
-                .or(attributes.fps)
-                .or_else(|| sidecar?.fps)
-                .or_else(|| rate(frames)),
-            name: attributes
-                .name
-                .clone()
-                .unwrap_or_else(|| self.layout.name.clone()),
-        })
-    }
-}
-
-/// Median frame rate of listed times, frames per second.
-fn rate(frames: &[FrameFile]) -> Option<f64> {
-    let mut periods: Vec<f64> = frames
-        .windows(2)
-        .filter_map(|pair| {
-            let ns = pair[1]
-                .time?
-                .device_ns
-                .saturating_sub(pair[0].time?.device_ns);
-            let steps = pair[1].number.saturating_sub(pair[0].number);
-            (ns > 0 && steps > 0).then(|| ns as f64 / steps as f64)
-        })
-        .collect();
-    periods.sort_by(f64::total_cmp);
-    periods.get(periods.len() / 2).map(|period| 1e9 / period)
 }

@@ -43,14 +43,15 @@ impl White {
 
 #[multiversion(targets("x86_64+avx2"))]
 fn white_row(lasting: u32, fleeting: u32, depth: &mut [i32], hole: &mut [i32]) {
-    assert_eq!(depth.len(), hole.len());
-    for ((x, depth), hole) in (0_u32..).zip(depth).zip(hole) {
-        let stays = scatter(lasting.wrapping_add(x));
-        let new = scatter(fleeting.wrapping_add(x));
-        let low = |bits: u32| (bits & 0xffff) as i32 - 0x8000;
-        let high = |bits: u32| (bits >> 16) as i32 - 0x8000;
-        *depth = (low(stays) * DEPTH_MIX.0 + low(new) * DEPTH_MIX.1) >> 8;
-        *hole = (high(stays) * HOLE_MIX.0 + high(new) * HOLE_MIX.1) >> 8;
+    let width = depth.len();
+    assert_eq!(width, hole.len());
+    let low = |bits: u32| (bits & 0xffff) as i32 - 0x8000;
+    let high = |bits: u32| (bits >> 16) as i32 - 0x8000;
+    for x in 0..width {
+        let stays = scatter(lasting.wrapping_add(x as u32));
+        let new = scatter(fleeting.wrapping_add(x as u32));
+        depth[x] = (low(stays) * DEPTH_MIX.0 + low(new) * DEPTH_MIX.1) >> 8;
+        hole[x] = (high(stays) * HOLE_MIX.0 + high(new) * HOLE_MIX.1) >> 8;
     }
 }
 

@@ -14,8 +14,6 @@ use multiversion::multiversion;
 
 /// Side of the window of the hole field, pixels: the size of a speckle.
 const HOLE_SIDE: usize = 7;
-/// Holes are where the hole field is above this many standard deviations: 0.5 % of the pixels.
-const HOLE_LEVEL: f32 = 2.6;
 /// Slope (tangent of the tilt) from which a surface starts to be lost: about 72°.
 const SLANT: f32 = 3.0;
 /// How fast it is lost beyond, standard deviations per unit of slope: half at 80°, all at 84°.
@@ -26,6 +24,8 @@ const JUMP: f32 = 20.0;
 const LATERAL_PX: f32 = 0.8;
 /// Pixels at a jump are lost where the depth noise is above this: a third of them.
 const JUMP_LEVEL: f32 = 0.43;
+/// Score of what the second camera does not see.
+const HIDDEN: f32 = 1e6;
 
 /// What a pixel must know to become an integer.
 #[derive(Clone, Copy, Debug)]
@@ -59,8 +59,10 @@ struct Rows {
     depth: Vec<f32>,
     hole: Vec<f32>,
     slope: Vec<f32>,
-    z: Vec<f32>,
-    shadow: Vec<bool>,
+    /// What counts against the pixel, in standard deviations: lost above [`Law::hole_level`].
+    score: Vec<f32>,
+    /// 0, or [`HIDDEN`].
+    shadow: Vec<f32>,
 }
 
 /// The sensor's numbers in the precision of the row kernel.
@@ -70,16 +72,38 @@ struct Law {
     step: f32,
     sigma_floor: f32,
     sigma_growth: f32,
+    half_focal: f32,
+    near: f32,
+    far: f32,
+    per_unit: f32,
+    hole_level: f32,
+    hole: u16,
 }
 
 impl Law {
-    fn of(sensor: &Sensor) -> Self {
+    fn of(sensor: &Sensor, coding: &Coding) -> Self {
         Self {
             sigma_inverse: sensor.sigma_inverse_m as f32,
             step: sensor.step_inverse_m as f32,
             sigma_floor: sensor.sigma_floor_m as f32,
             sigma_growth: sensor.sigma_growth_per_m as f32,
+            half_focal: 0.5 * coding.focal_px as f32,
+            near: sensor.range_m.0 as f32,
+            // 65535 marks a hole for many readers: never a depth
+            far: sensor.range_m.1.min(65534.0 * coding.unit_m) as f32,
+            per_unit: (1.0 / coding.unit_m) as f32,
+            hole_level: sensor.hole_level,
+            hole: coding.hole,
         }
+    }
+
+    /// The integer for depth `z`, the hole's where it is out of range or not a number.
+    #[inline(always)]
+    fn code(self, z: f32, lost: bool) -> u16 {
+        let seen = !lost & (z >= self.near) & (z <= self.far);
+        // after adding 2²³ the low bits of a float are its integer: unlike `as`, this vectorises
+        let code = ((z * self.per_unit + 0.5).floor() + 8_388_608.0).to_bits() as u16;
+        if seen & (code > 0) { code } else { self.hole }
     }
 
     /// Depth measured where the true inverse depth is `w`, with unit normal noise `n`.
@@ -87,7 +111,7 @@ impl Law {
     fn measure(self, w: f32, n: f32) -> f32 {
         let mut measured = w + self.sigma_inverse * n;
         if self.step > 0.0 {
-            measured = (measured / self.step + 0.5) as i32 as f32 * self.step;
+            measured = (measured / self.step + 0.5).floor() * self.step;
         }
         let z = 1.0 / measured;
         z + (self.sigma_floor + self.sigma_growth * z * z) * n
@@ -111,8 +135,8 @@ impl Noise {
                 depth: vec![0.0; width],
                 hole: vec![0.0; width],
                 slope: vec![0.0; width],
-                z: vec![0.0; width],
-                shadow: vec![false; width],
+                score: vec![0.0; width],
+                shadow: vec![0.0; width],
             },
             lines: std::array::from_fn(|_| vec![0.0; width + 2]),
         }
@@ -128,7 +152,7 @@ impl Noise {
         for y in 1..HOLE_SIDE {
             self.push_white(white, -(y as i32));
         }
-        let (law, width) = (Law::of(&self.sensor), self.width);
+        let (law, width) = (Law::of(&self.sensor, &self.coding), self.width);
         load_line(&mut self.lines[0], &view.inverse_depth[..width]);
         load_line(&mut self.lines[1], &view.inverse_depth[..width]);
         for y in 0..height {
@@ -141,17 +165,11 @@ impl Noise {
             self.depth_window.normal(&mut self.rows.depth);
             self.hole_window.normal(&mut self.rows.hole);
             self.cast_shadow();
-            let [above, here, below] = &self.lines;
-            measure_row(
-                law,
-                0.5 * self.coding.focal_px as f32,
-                [above, here, below],
-                &self.rows.depth,
-                &mut self.rows.slope,
-                &mut self.rows.z,
-            );
             let span = y * width..(y + 1) * width;
-            self.finish_row(law, &view.surface[span.clone()], dropout, &mut out[span]);
+            let [above, here, below] = &self.lines;
+            let out = &mut out[span.clone()];
+            measure_row(law, [above, here, below], &mut self.rows, out);
+            self.mend_row(law, &view.surface[span], dropout, out);
             self.lines.rotate_left(1);
         }
     }
@@ -171,50 +189,46 @@ impl Noise {
         }
         let line = &self.lines[1][1..=self.width];
         let mut least = f32::INFINITY;
+        let border = if self.sensor.blind_border {
+            0.0
+        } else {
+            f32::NEG_INFINITY
+        };
         for x in (0..self.width).rev() {
             let place = x as f32 - shift * line[x];
             // half a pixel for the slant of ordinary surfaces
-            self.rows.shadow[x] = place > least + 0.5;
+            let hidden = place > least + 0.5 || place < border;
+            self.rows.shadow[x] = if hidden { HIDDEN } else { 0.0 };
             least = least.min(place);
         }
     }
 
-    /// Decides which pixels are lost or moved, and codes the row.
-    fn finish_row(&self, law: Law, surface: &[u16], dropout: &[f32], out: &mut [u16]) {
+    /// Treats the few pixels apart that are at a jump or on a surface that is hard to see.
+    fn mend_row(&self, law: Law, surface: &[u16], dropout: &[f32], out: &mut [u16]) {
         let rows = &self.rows;
         let line = &self.lines[1];
-        let per_unit = (1.0 / self.coding.unit_m) as f32;
-        let near = self.sensor.range_m.0 as f32;
-        // 65535 marks a hole for many readers: never a depth
-        let far = (self.sensor.range_m.1.min(65534.0 * self.coding.unit_m)) as f32;
         let width = out.len();
         for (x, (out, &id)) in out.iter_mut().zip(surface).enumerate() {
             let (n, h) = (rows.depth[x], rows.hole[x]);
-            let slope = rows.slope[x];
-            let mut z = rows.z[x];
-            let mut lost = rows.shadow[x];
-            if slope >= JUMP {
-                lost |= n > JUMP_LEVEL;
-                z = if self.sensor.flying_pixels {
-                    let share = (0.5 + 0.5 * h).clamp(0.0, 1.0);
-                    let depth = |w: f32| if w > 0.0 { 1.0 / w } else { 0.0 };
-                    let (left, right) = (depth(line[x]), depth(line[x + 2]));
-                    left + share * (right - left)
-                } else {
-                    let moved = (LATERAL_PX * h).round() as i64 + x as i64;
-                    let moved = moved.clamp(0, width as i64 - 1) as usize;
-                    let w = line[moved + 1];
-                    if w > 0.0 { law.measure(w, n) } else { 0.0 }
-                };
-            } else {
-                let level = HOLE_LEVEL - dropout.get(usize::from(id)).copied().unwrap_or(0.0);
-                lost |= h + SLANT_LOSS * (slope - SLANT).max(0.0) > level;
-                lost |= id == 0;
+            if rows.slope[x] < JUMP {
+                let dropout = dropout.get(usize::from(id)).copied().unwrap_or(0.0);
+                if dropout > 0.0 && rows.score[x] > law.hole_level - dropout {
+                    *out = law.hole;
+                }
+                continue;
             }
-            // written so that NaN is lost too
-            let seen = !lost && z >= near && z <= far;
-            let code = if seen { (z * per_unit + 0.5) as u16 } else { 0 };
-            *out = if code == 0 { self.coding.hole } else { code };
+            let lost = n > JUMP_LEVEL || rows.shadow[x] > 0.0;
+            let z = if self.sensor.flying_pixels {
+                let share = (0.5 + 0.5 * h).clamp(0.0, 1.0);
+                let depth = |w: f32| if w > 0.0 { 1.0 / w } else { 0.0 };
+                let (left, right) = (depth(line[x]), depth(line[x + 2]));
+                left + share * (right - left)
+            } else {
+                let moved = (LATERAL_PX * h).round() as i64 + x as i64;
+                let moved = moved.clamp(0, width as i64 - 1) as usize;
+                law.measure(line[moved + 1], n)
+            };
+            *out = law.code(z, lost);
         }
     }
 
@@ -250,25 +264,27 @@ fn load_line(line: &mut [f32], row: &[f64]) {
     line[width + 1] = line[width];
 }
 
-/// Noise, steps and slope of one row. `lines` are the rows above, here and below with a border of
-/// one; the slope is the tangent of the surface's tilt against the ray (near the image centre).
+/// Noise, steps, losses and code of one row, jumps left aside. `lines` are the rows above, here
+/// and below with a border of one; the slope is the tangent of the surface's tilt against the ray
+/// (near the image centre). Where nothing is (inverse depth 0) noise alone stays out of range.
 #[multiversion(targets("x86_64+avx2"))]
-fn measure_row(
-    law: Law,
-    half_focal: f32,
-    lines: [&[f32]; 3],
-    normal: &[f32],
-    slope: &mut [f32],
-    z: &mut [f32],
-) {
-    let width = normal.len();
-    assert!(slope.len() == width && z.len() == width);
+fn measure_row(law: Law, lines: [&[f32]; 3], rows: &mut Rows, out: &mut [u16]) {
+    let width = out.len();
     let [above, here, below] = lines.map(|line| &line[..width + 2]);
+    let (depth, hole, shadow) = (
+        &rows.depth[..width],
+        &rows.hole[..width],
+        &rows.shadow[..width],
+    );
+    let (slope, score) = (&mut rows.slope[..width], &mut rows.score[..width]);
     for x in 0..width {
         let w = here[x + 1];
         let dx = (here[x + 2] - here[x]).abs();
         let dy = (below[x + 1] - above[x + 1]).abs();
-        slope[x] = half_focal * (dx + dy) / w.max(1e-6);
-        z[x] = law.measure(w, normal[x]);
+        let tilt = law.half_focal * (dx + dy) / w.max(1e-6);
+        let against = hole[x] + shadow[x] + SLANT_LOSS * (tilt - SLANT).max(0.0);
+        slope[x] = tilt;
+        score[x] = against;
+        out[x] = law.code(law.measure(w, depth[x]), against > law.hole_level);
     }
 }

@@ -161,7 +161,14 @@ fn cast_row(form: &Form, u: &[f64], v: f64, surface: u16, best: &mut [f64], id: 
     match *form {
         Form::Plane { m } => {
             let (mx, m0) = at(m);
-            for ((&u, best), id) in u.iter().zip(best).zip(id) {
+            // it is before the camera on one side of its horizon only
+            let seen = if mx > 0.0 {
+                u.partition_point(|&u| mx * u + m0 <= 0.0)..u.len()
+            } else {
+                0..u.partition_point(|&u| mx * u + m0 > 0.0)
+            };
+            let (best, id) = (&mut best[seen.clone()], &mut id[seen.clone()]);
+            for ((&u, best), id) in u[seen].iter().zip(best).zip(id) {
                 let w = mx * u + m0;
                 let nearer = w > *best;
                 *best = if nearer { w } else { *best };

@@ -3,10 +3,11 @@
 //! | | `kinect` | `stereo` | `tof` |
 //! |---|---|---|---|
 //! | imitates | Kinect v1, structured light | RealSense D435 | Azure Kinect, phase ToF |
-//! | noise law | σ(1/z) = 1.15e-3 /m + steps: σ(z) ≈ 1.4e-3 z² | σ(1/z) = 2.0e-3 /m: σ(z) ≈ 2.0e-3 z² | σ(z) = 1 mm + 0.3e-3 z² |
+//! | noise law | σ(1/z) = 1.15e-3 /m + steps: σ(z) ≈ 1.4e-3 z² | σ(1/z) = 2.4e-3 /m: σ(z) ≈ 2.4e-3 z² | σ(z) = 1 mm + 0.3e-3 z² |
 //! | steps | 1/8 px of fB = 43.5 px·m: 2.9 mm at 1 m | 1/32 px of fB = 21.3 px·m: 1.5 mm at 1 m | none but the unit |
-//! | correlated over | 5 px | 7 px | 3 px |
-//! | occlusion shadow | 75 mm baseline | 50 mm baseline | none |
+//! | correlated over | 5 px | 9 px | 3 px |
+//! | speckle holes | 0.6 % | 2.5 % | 0.5 % |
+//! | occlusion shadow | 75 mm baseline | 50 mm baseline, and a blind left border | none |
 //! | at depth edges | ragged, some lost | ragged, some lost | flying pixels |
 //! | range | 0.4–8 m | 0.2–10 m | 0.25–5.5 m |
 //!
@@ -59,6 +60,8 @@ impl NoiseModel {
                 sigma_floor_m: 0.0,
                 sigma_growth_per_m: 0.0,
                 window_px: 1,
+                hole_level: f32::INFINITY,
+                blind_border: false,
                 baseline_m: 0.0,
                 focal_per_width: 0.9,
                 range_m: (0.0, f64::INFINITY),
@@ -70,17 +73,21 @@ impl NoiseModel {
                 sigma_floor_m: 0.0,
                 sigma_growth_per_m: 0.0,
                 window_px: 5,
+                hole_level: 2.5,
+                blind_border: false,
                 baseline_m: 0.075,
                 focal_per_width: 0.9,
                 range_m: (0.4, 8.0),
                 flying_pixels: false,
             },
             Self::Stereo => Sensor {
-                sigma_inverse_m: 2.0e-3,
+                sigma_inverse_m: 2.4e-3,
                 step_inverse_m: 1.0 / (32.0 * 21.3),
                 sigma_floor_m: 0.0,
                 sigma_growth_per_m: 0.0,
-                window_px: 7,
+                window_px: 9,
+                hole_level: 1.96,
+                blind_border: true,
                 baseline_m: 0.05,
                 focal_per_width: 0.6,
                 range_m: (0.2, 10.0),
@@ -92,6 +99,8 @@ impl NoiseModel {
                 sigma_floor_m: 1.0e-3,
                 sigma_growth_per_m: 0.3e-3,
                 window_px: 3,
+                hole_level: 2.6,
+                blind_border: false,
                 baseline_m: 0.0,
                 focal_per_width: 0.79,
                 range_m: (0.25, 5.5),
@@ -114,6 +123,11 @@ pub struct Sensor {
     pub sigma_growth_per_m: f64,
     /// Side of the square over which noise is correlated, pixels.
     pub window_px: usize,
+    /// A pixel is lost where the hole field is above this many standard deviations.
+    pub hole_level: f32,
+    /// True where the second camera's image ends like the first one's, so that the left border
+    /// has nothing to match.
+    pub blind_border: bool,
     /// Distance of the second camera or the projector, metres; 0 = none, no shadow.
     pub baseline_m: f64,
     /// Focal length over image width.

@@ -40,7 +40,7 @@ fn measured_sigma(noise: NoiseModel, z: f64) -> (f64, f64) {
         }
     }
     assert!(
-        count > 0.95 * 4.0 * pixels as f64,
+        count > 0.9 * 4.0 * pixels as f64,
         "{noise:?} at {z}: {count}"
     );
     let mean: f64 = sum / count;
