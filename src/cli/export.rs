@@ -77,9 +77,7 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
     if !quiet {
         message::say(&format!(
             "wrote {}: {} files, {} bytes",
-            summary.path.display(),
-            summary.files,
-            summary.bytes
+            summary.path, summary.files, summary.bytes
         ));
     }
     tape.finish()

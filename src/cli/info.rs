@@ -23,9 +23,7 @@ pub fn run(args: &InfoArgs) -> Result<(), Failure> {
         let _ = writeln!(
             text,
             "{}: {} bytes, {}",
-            info.path.display(),
-            info.bytes,
-            info.generator
+            info.path, info.bytes, info.generator
         );
         let _ = writeln!(
             text,
@@ -69,10 +67,7 @@ pub fn run(args: &InfoArgs) -> Result<(), Failure> {
     for damage in &info.damaged {
         message::say(&format!(
             "{}: damaged at byte {}, before frame {}: {}",
-            info.path.display(),
-            damage.offset,
-            damage.frame,
-            damage.what
+            info.path, damage.offset, damage.frame, damage.what
         ));
     }
     Ok(())

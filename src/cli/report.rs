@@ -1,6 +1,7 @@
 //! Numbers as sentences: the status line and the summary.
 
-use saint_live::pipeline::statistics::{Drops, Report};
+use saint_live::pipeline::report::Report;
+use saint_live::pipeline::statistics::Drops;
 
 /// A count that fits a status line: `840`, `212k`, `1.3M`.
 pub fn short(count: f64) -> String {

@@ -12,7 +12,7 @@ use saint_live::frame::Camera;
 use saint_live::pipeline::budget::{Budget, Late};
 use saint_live::pipeline::clock::{Clock, Monotonic};
 use saint_live::pipeline::color::ColorSource;
-use saint_live::pipeline::statistics::Report;
+use saint_live::pipeline::report::Report;
 use saint_live::pipeline::trace::Trace;
 use saint_live::pipeline::{self, Options, Pace, Stages};
 

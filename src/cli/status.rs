@@ -6,7 +6,7 @@ use super::failure::Failure;
 use super::{message, report};
 use indicatif::{ProgressBar, ProgressStyle};
 use saint_live::pipeline::Meter;
-use saint_live::pipeline::statistics::Report;
+use saint_live::pipeline::report::Report;
 use serde::Serialize;
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
