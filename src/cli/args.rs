@@ -1,0 +1,375 @@
+//! The arguments as they are typed.
+
+use super::values::{Length, duration, factor, length, length_or_zero, size};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
+use saint_live::fit::contact_distance::ContactDistance;
+use std::path::PathBuf;
+use std::time::Duration;
+
+const AFTER_HELP: &str = "\
+Exit codes: 0 done (also after Ctrl-C, with the file complete), 1 failure, 2 usage, 3 device, \
+4 bad or damaged input, 5 output failed (what was written is valid), 6 budget missed under \
+--strict, 130 second Ctrl-C.
+
+Examples:
+  saint-live --device /dev/video0 -o scene.mcap     capture until Ctrl-C
+  saint-live --device synthetic:room -n 300         no camera needed
+  saint-live replay recordings/static_room -o x.mcap --max-error 5mm
+  saint-live export x.mcap --to ply -o frames/";
+
+/// Turns a live depth camera into a stream of spheres and contact maps.
+#[derive(Debug, Parser)]
+#[command(name = "saint-live", version, after_help = AFTER_HELP)]
+#[command(args_conflicts_with_subcommands = true, arg_required_else_help = true)]
+pub struct Arguments {
+    /// What to do; without one, a camera is captured.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// Say only what went wrong.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Say more; twice for even more.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// The commands beside live capture.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// List the cameras of this machine.
+    Devices(DevicesArgs),
+    /// Model recorded depth frames: a folder of EXR or PNG files, a TUM folder, a .mcap file.
+    Replay(ReplayArgs),
+    /// Play a recording in the terminal, each sphere in its colour.
+    Play(PlayArgs),
+    /// Write the frames of a recording as files other programs read.
+    Export(ExportArgs),
+    /// Say what is in a recording.
+    Info(InfoArgs),
+    /// Measure quality, size and time on recorded frames held in memory.
+    Bench(BenchArgs),
+    /// Write a recording of a synthetic scene (EXR folder).
+    Synthesize(SynthesizeArgs),
+    /// Print a completion script for a shell.
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+}
+
+/// Live capture.
+#[derive(Debug, Args)]
+pub struct LiveArgs {
+    /// Depth camera: /dev/videoN, N, auto, or synthetic:SCENE[,key=value...].
+    #[arg(short, long, value_name = "DEVICE")]
+    pub device: Option<String>,
+    /// Colour camera recorded beside it: /dev/videoN or N.
+    #[arg(long, value_name = "DEVICE")]
+    pub color_device: Option<String>,
+    /// Image size to ask the camera for.
+    #[arg(short, long, value_name = "WxH", value_parser = size)]
+    pub size: Option<(u32, u32)>,
+    /// Frames per second to ask the camera for.
+    #[arg(long)]
+    pub fps: Option<u32>,
+    /// Format to ask the camera for: Z16, Y16, Y14, Y12, Y10, Y10B.
+    #[arg(long, value_name = "FOURCC")]
+    pub pixel_format: Option<String>,
+    /// Wait for an unplugged camera to come back instead of ending.
+    #[arg(long)]
+    pub reconnect: bool,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub engine: EngineArgs,
+    #[command(flatten)]
+    pub stream: StreamArgs,
+}
+
+/// What the user knows of the camera.
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = "Camera")]
+pub struct CameraArgs {
+    /// Metres per depth integer, as a length (1mm, 0.1mm).
+    #[arg(long, value_name = "LENGTH", value_parser = length)]
+    pub depth_unit: Option<Length>,
+    /// Nearer depths are not measurements.
+    #[arg(long, value_name = "LENGTH", value_parser = length_or_zero)]
+    pub depth_min: Option<Length>,
+    /// Farther depths are not measurements.
+    #[arg(long, value_name = "LENGTH", value_parser = length)]
+    pub depth_max: Option<Length>,
+    /// Depth integers that mean "no measurement", beside 0.
+    #[arg(long, value_name = "CODES", value_delimiter = ',')]
+    pub invalid: Option<Vec<u16>>,
+    /// Intrinsics: a file (camera.json, ROS or OpenCV YAML, Open3D or RealSense JSON) or fx,fy,cx,cy.
+    #[arg(long, value_name = "FILE|fx,fy,cx,cy", allow_hyphen_values = true)]
+    pub intrinsics: Option<String>,
+}
+
+/// Spheres, contact map and payload.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Model and payload")]
+pub struct EngineArgs {
+    /// Largest depth error of any pixel in the output.
+    #[arg(long, value_name = "LENGTH", value_parser = length, conflicts_with = "lossless")]
+    pub max_error: Option<Length>,
+    /// Give every depth integer back exactly.
+    #[arg(long)]
+    pub lossless: bool,
+    /// How far from its sphere a point may lie: 5mm, or 5mm+1.4e-3z2 (growing with depth).
+    #[arg(long, value_name = "LENGTH[+Kz2]")]
+    pub contact_distance: Option<ContactDistance>,
+    /// Distance of neighbouring cell centres.
+    #[arg(long, value_name = "LENGTH", value_parser = length)]
+    pub cube_size: Option<Length>,
+    /// Lattice of the cells.
+    #[arg(long, value_enum)]
+    pub packing: Option<PackingArg>,
+    /// Most spheres at a time.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=65000))]
+    pub max_spheres: Option<u16>,
+    /// A payload that decodes alone at least every N frames [default: 30].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub keyframe_every: Option<u32>,
+    /// Threads; 1 does everything in one, with the same output.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// Lattice of the cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PackingArg {
+    /// Face-centred cubic: the densest.
+    Hex,
+    /// Plain cubes.
+    Cubic,
+}
+
+/// Output, limits, budget, statistics.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Stream")]
+pub struct StreamArgs {
+    /// Write a recording (MCAP) to this file, or to standard output with `-`.
+    #[arg(short, long, value_name = "FILE|-")]
+    pub output: Option<PathBuf>,
+    /// Replace an output file that exists.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Stop after taking this many frames.
+    #[arg(short = 'n', long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// Stop after this much stream time.
+    #[arg(short = 't', long, value_name = "TIME", value_parser = duration)]
+    pub duration: Option<Duration>,
+    /// Age a frame may have when it leaves; one frame period by default. A replay has no budget
+    /// unless one is given here or by --on-late, or it is paced by --realtime.
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub budget: Option<Duration>,
+    /// What to do with a frame that would be late.
+    #[arg(long, value_enum)]
+    pub on_late: Option<LateArg>,
+    /// End with exit code 6 where the budget was missed: a frame late, degraded or dropped for it.
+    #[arg(long)]
+    pub strict: bool,
+    /// Print statistics on standard output each second and at the end.
+    #[arg(long, value_enum, value_name = "FORM")]
+    pub stats: Option<StatsArg>,
+    /// Write a timeline (Chrome trace events; open it in Perfetto).
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
+}
+
+/// What to do with a frame that would be late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LateArg {
+    /// Model it less well.
+    Degrade,
+    /// Give it up and count it.
+    Drop,
+    /// Take the time it needs.
+    Wait,
+}
+
+/// Form of the statistics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum StatsArg {
+    /// One object per line.
+    Json,
+    /// One line per second under a header.
+    Csv,
+    /// One readable line per second.
+    Text,
+}
+
+/// Which frames of an input.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub struct RangeArgs {
+    /// First frame, counted from 0.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub from: u64,
+    /// The frame after the last.
+    #[arg(long, value_name = "N")]
+    pub to: Option<u64>,
+}
+
+/// `replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// Folder, file, printf pattern (depth_%06d.png), or recording.
+    pub input: PathBuf,
+    #[command(flatten)]
+    pub range: RangeArgs,
+    /// Begin again at the end, until stopped.
+    #[arg(long = "loop")]
+    pub repeat: bool,
+    /// Pace frames by their time stamps and drop like a live camera.
+    #[arg(long)]
+    pub realtime: bool,
+    /// Frames per second of an input that does not say.
+    #[arg(long, value_parser = factor)]
+    pub fps: Option<f64>,
+    /// What the values of EXR files measure.
+    #[arg(long, value_enum, default_value_t = ExrDepthArg::Planar)]
+    pub exr_depth: ExrDepthArg,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub engine: EngineArgs,
+    #[command(flatten)]
+    pub stream: StreamArgs,
+}
+
+/// What the values of EXR files measure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ExrDepthArg {
+    /// Metres along the optical axis.
+    #[default]
+    Planar,
+    /// Metres along the pixel's ray.
+    Ray,
+    /// One over metres.
+    Inverse,
+}
+
+/// `play`.
+#[derive(Debug, Args)]
+pub struct PlayArgs {
+    /// The recording.
+    pub file: PathBuf,
+    #[command(flatten)]
+    pub range: RangeArgs,
+    /// Times the recorded pace.
+    #[arg(long, default_value_t = 1.0, value_parser = factor)]
+    pub speed: f64,
+    /// Begin again at the end, until stopped.
+    #[arg(long = "loop")]
+    pub repeat: bool,
+    /// Show no picture, print what was played as one JSON object.
+    #[arg(long)]
+    pub stats: bool,
+}
+
+/// `export`.
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// The recording.
+    pub file: PathBuf,
+    /// Form of the files.
+    #[arg(long, value_enum)]
+    pub to: ExportArg,
+    /// Folder for one file per frame, or a file name for a single frame.
+    #[arg(short, long, value_name = "PATH")]
+    pub output: PathBuf,
+    /// First frame, counted from 0.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub from: u64,
+    /// Frames to write at most.
+    #[arg(short = 'n', long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
+    /// Replace files that exist.
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+/// Form of exported files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExportArg {
+    /// Points with their sphere's number and colour.
+    Ply,
+    /// The spheres: centre and radius.
+    Spheres,
+    /// Points for PCL.
+    Pcd,
+    /// Depth in metres, with intrinsics and time.
+    Exr,
+    /// Picture: each pixel in its sphere's colour.
+    Png,
+    /// 16-bit depth with camera.json.
+    Png16,
+}
+
+/// `info`.
+#[derive(Debug, Args)]
+pub struct InfoArgs {
+    /// The recording.
+    pub file: PathBuf,
+    /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `devices`.
+#[derive(Debug, Args)]
+pub struct DevicesArgs {
+    /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// What `replay` takes.
+    pub input: PathBuf,
+    /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+    /// Frames to measure; the input is repeated where it is shorter.
+    #[arg(short = 'n', long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: u64,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub engine: EngineArgs,
+}
+
+/// `synthesize`.
+#[derive(Debug, Args)]
+pub struct SynthesizeArgs {
+    /// SCENE[,key=value...], as in --device synthetic:SCENE.
+    pub scene: String,
+    /// Folder to write.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Number of frames.
+    #[arg(short = 'n', long, value_name = "N", default_value_t = 30)]
+    pub frames: u64,
+    /// Write into a folder that is not empty.
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+}

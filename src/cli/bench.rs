@@ -1,0 +1,418 @@
+//! `bench`: quality, size and time on recorded frames held in memory.
+//!
+//! *Cold*: every frame by a modeler and an encoder that have seen nothing (a scene cut). *Warm*:
+//! the steady state, frame after frame; a short input is played forth and back, so that motion
+//! stays continuous. Times are of one frame from the first to the last stage, without queues.
+
+use super::args::BenchArgs;
+use super::engine::{Engine, LiveEncode, LiveModel};
+use super::failure::{Failure, Kind};
+use super::machine::{self, Machine};
+use super::source::{self, InputOptions};
+use super::{message, signals, status};
+use hdrhistogram::Histogram;
+use saint_live::capture::Next;
+use saint_live::codec::{Decoder, EncodedFrame};
+use saint_live::contact_map::labels::SaintFrame;
+use saint_live::deproject::Validity;
+use saint_live::frame::{Camera, DepthFrame};
+use saint_live::pipeline::clock::{Clock, Monotonic};
+use saint_live::pipeline::percentiles::Percentiles;
+use saint_live::pipeline::stages::{Encode, Model};
+use serde::Serialize;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Most frames measured cold.
+const COLD_FRAMES: usize = 30;
+/// Most bytes of depth held in memory.
+const MAX_LOADED: usize = 1 << 30;
+/// Largest error told apart, µm.
+const LARGEST_UM: u64 = 100_000_000;
+
+/// Percentiles of a time, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Times {
+    p50: f64,
+    p99: f64,
+}
+
+impl From<&Percentiles> for Times {
+    fn from(times: &Percentiles) -> Self {
+        let summary = times.summary();
+        Self {
+            p50: summary.p50,
+            p99: summary.p99,
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct StageTimes {
+    model: Times,
+    encode: Times,
+    decode: Times,
+}
+
+#[derive(Debug, Serialize)]
+struct Errors {
+    mean: f64,
+    p95: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// What the bench prints.
+#[derive(Debug, Serialize)]
+struct Results {
+    input: String,
+    camera: String,
+    width: u32,
+    height: u32,
+    /// Frames measured, and different frames among them.
+    frames: u64,
+    frames_loaded: usize,
+    points_per_frame: f64,
+    spheres_per_frame: f64,
+    /// Share of the points a sphere explains.
+    coverage: f64,
+    /// Share of the points that kept their sphere.
+    warm_points: f64,
+    /// Share of the points the output gives back.
+    points_kept: f64,
+    residual_mm: Errors,
+    bits_per_valid_px: f64,
+    bytes_per_frame: f64,
+    key_bits_per_valid_px: f64,
+    encode_ms: Times,
+    decode_ms: Times,
+    stage_ms: StageTimes,
+    /// Model and encode together.
+    cold_ms: Times,
+    warm_ms: Times,
+    rss_mb: f64,
+    loaded_mb: f64,
+    threads: usize,
+    machine: Machine,
+    version: &'static str,
+}
+
+/// Runs the bench and prints its results.
+pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
+    let stop = signals::stop_flag()?;
+    let engine = Engine::resolve(&args.engine);
+    engine.start_workers()?;
+    let (camera, mut frames) = load(args)?;
+    let cold = cold(&camera, &engine, &frames)?;
+    let bar = (!quiet).then(|| status::progress(args.frames));
+    let warm = warm(&camera, &engine, &mut frames, args.frames, &stop, &|| {
+        if let Some(bar) = &bar {
+            bar.inc(1);
+        }
+    })?;
+    if let Some(bar) = bar {
+        bar.finish_and_clear();
+    }
+    let loaded: usize = frames.iter().map(|f| f.depth.len() * 2).sum();
+    let per_frame = |sum: u64| sum as f64 / warm.frames.max(1) as f64;
+    let share = |part: u64, of: u64| {
+        if of == 0 {
+            0.0
+        } else {
+            part as f64 / of as f64
+        }
+    };
+    let um = |q: f64| warm.errors.value_at_quantile(q) as f64 * 1e-3;
+    let results = Results {
+        input: args.input.display().to_string(),
+        width: camera.width,
+        height: camera.height,
+        camera: camera.name,
+        frames: warm.frames,
+        frames_loaded: frames.len(),
+        points_per_frame: per_frame(warm.points),
+        spheres_per_frame: per_frame(warm.spheres),
+        coverage: share(warm.explained, warm.points),
+        warm_points: share(warm.warm, warm.points),
+        points_kept: share(warm.points - warm.lost, warm.points),
+        residual_mm: Errors {
+            mean: warm.error_sum_mm / (warm.points - warm.lost).max(1) as f64,
+            p95: um(0.95),
+            p99: um(0.99),
+            max: warm.error_max_mm,
+        },
+        bits_per_valid_px: share(warm.bytes * 8, warm.points),
+        bytes_per_frame: per_frame(warm.bytes),
+        key_bits_per_valid_px: share(cold.bytes * 8, cold.points),
+        encode_ms: (&warm.encode).into(),
+        decode_ms: (&warm.decode).into(),
+        stage_ms: StageTimes {
+            model: (&warm.model).into(),
+            encode: (&warm.encode).into(),
+            decode: (&warm.decode).into(),
+        },
+        cold_ms: (&cold.both).into(),
+        warm_ms: (&warm.both).into(),
+        rss_mb: machine::resident_mb(),
+        loaded_mb: loaded as f64 * 1e-6,
+        threads: engine.threads,
+        machine: Machine::this(),
+        version: env!("CARGO_PKG_VERSION"),
+    };
+    if args.json {
+        let mut text =
+            serde_json::to_string(&results).map_err(|e| Failure::new(Kind::Failure, e))?;
+        text.push('\n');
+        super::write_data(text.as_bytes())
+    } else {
+        super::write_data(table(&results).as_bytes())
+    }
+}
+
+/// Reads up to the number of frames asked for.
+fn load(args: &BenchArgs) -> Result<(Camera, Vec<DepthFrame>), Failure> {
+    let options = InputOptions {
+        camera: args.camera.clone(),
+        ..InputOptions::default()
+    };
+    let mut source = source::recorded(&args.input, &options)?;
+    let camera = source.camera().clone();
+    let most = (MAX_LOADED / (2 * camera.pixels()).max(1)).max(1);
+    let wanted = usize::try_from(args.frames).unwrap_or(usize::MAX).min(most);
+    let mut frames = Vec::new();
+    while frames.len() < wanted {
+        let mut frame = DepthFrame::default();
+        match source.next(&mut frame)? {
+            Next::Frame => frames.push(frame),
+            Next::Waiting(_) => {}
+            Next::End => break,
+        }
+    }
+    if frames.is_empty() {
+        return Err(Failure::new(
+            Kind::Input,
+            format_args!("{}: holds no frame", args.input.display()),
+        ));
+    }
+    if frames.len() == most && (most as u64) < args.frames {
+        message::say(&format!(
+            "only {most} frames fit in memory; they are repeated"
+        ));
+    }
+    Ok((camera, frames))
+}
+
+/// What the cold frames gave.
+struct Cold {
+    both: Percentiles,
+    bytes: u64,
+    points: u64,
+}
+
+fn stage_failed(error: saint_live::pipeline::StageError) -> Failure {
+    Failure::new(Kind::Failure, error)
+}
+
+/// Each frame by a modeler and an encoder that have seen nothing.
+fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold, Failure> {
+    let mut cold = Cold {
+        both: Percentiles::new(),
+        bytes: 0,
+        points: 0,
+    };
+    let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
+    let step = frames.len().div_ceil(COLD_FRAMES);
+    for frame in frames.iter().step_by(step) {
+        let mut model = LiveModel::new(camera, engine);
+        let mut encode = LiveEncode::new(camera, engine)?.unsampled();
+        let start = Monotonic.now_ns();
+        let report = model
+            .model(frame, &mut saint, &|| false)
+            .map_err(stage_failed)?;
+        encode
+            .encode(frame, &saint, &report, &mut encoded)
+            .map_err(stage_failed)?;
+        cold.both.record_ns(Monotonic.now_ns() - start);
+        cold.bytes += encoded.payload.len() as u64;
+        cold.points += u64::from(report.points);
+    }
+    Ok(cold)
+}
+
+/// What the steady state gave.
+struct Warm {
+    model: Percentiles,
+    encode: Percentiles,
+    decode: Percentiles,
+    both: Percentiles,
+    errors: Histogram<u64>,
+    error_sum_mm: f64,
+    error_max_mm: f64,
+    frames: u64,
+    points: u64,
+    explained: u64,
+    warm: u64,
+    lost: u64,
+    spheres: u64,
+    bytes: u64,
+}
+
+impl Warm {
+    fn new() -> Result<Self, Failure> {
+        let errors = Histogram::new_with_bounds(1, LARGEST_UM, 3)
+            .map_err(|error| Failure::new(Kind::Failure, error))?;
+        Ok(Self {
+            model: Percentiles::new(),
+            encode: Percentiles::new(),
+            decode: Percentiles::new(),
+            both: Percentiles::new(),
+            errors,
+            error_sum_mm: 0.0,
+            error_max_mm: 0.0,
+            frames: 0,
+            points: 0,
+            explained: 0,
+            warm: 0,
+            lost: 0,
+            spheres: 0,
+            bytes: 0,
+        })
+    }
+
+    /// Compares what was measured with what came back.
+    fn compare(&mut self, frame: &DepthFrame, depth_m: &[f32], validity: &Validity, unit: f64) {
+        for (&raw, &z) in frame.depth.iter().zip(depth_m) {
+            if !validity.accepts(raw) {
+                continue;
+            }
+            if !(z.is_finite() && z > 0.0) {
+                self.lost += 1;
+                continue;
+            }
+            let error_mm = (f64::from(raw) * unit - f64::from(z)).abs() * 1e3;
+            self.errors
+                .saturating_record((error_mm * 1e3).round() as u64);
+            self.error_sum_mm += error_mm;
+            self.error_max_mm = self.error_max_mm.max(error_mm);
+        }
+    }
+}
+
+/// The steady state: `count` frames forth and back, after one round to warm up.
+fn warm(
+    camera: &Camera,
+    engine: &Engine,
+    frames: &mut [DepthFrame],
+    count: u64,
+    stop: &AtomicBool,
+    progress: &dyn Fn(),
+) -> Result<Warm, Failure> {
+    let mut warm = Warm::new()?;
+    let validity = Validity::new(camera);
+    let mut model = LiveModel::new(camera, engine);
+    let mut encode = LiveEncode::new(camera, engine)?.unsampled();
+    let mut decoder = Decoder::new();
+    let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
+    // the first frame is a cold one: it warms up and is not counted
+    for n in 0..=count {
+        if stop.load(Ordering::Relaxed) {
+            return Err(Failure::new(
+                Kind::Failure,
+                "stopped before the bench was done",
+            ));
+        }
+        let frame = &mut frames[forth_and_back(n, frames.len())];
+        frame.sequence = n;
+        let start = Monotonic.now_ns();
+        let report = model
+            .model(frame, &mut saint, &|| false)
+            .map_err(stage_failed)?;
+        let modelled = Monotonic.now_ns();
+        encode
+            .encode(frame, &saint, &report, &mut encoded)
+            .map_err(stage_failed)?;
+        let coded = Monotonic.now_ns();
+        let decoded = decoder
+            .decode(&encoded.payload)
+            .map_err(|error| Failure::new(Kind::Failure, error))?;
+        let end = Monotonic.now_ns();
+        if n == 0 {
+            continue;
+        }
+        progress();
+        warm.model.record_ns(modelled - start);
+        warm.encode.record_ns(coded - modelled);
+        warm.decode.record_ns(end - coded);
+        warm.both.record_ns(coded - start);
+        warm.frames += 1;
+        warm.points += u64::from(report.points);
+        warm.explained += u64::from(report.explained);
+        warm.warm += u64::from(report.warm);
+        warm.spheres += u64::from(report.spheres);
+        warm.bytes += encoded.payload.len() as u64;
+        warm.compare(frame, &decoded.depth_m, &validity, camera.depth_unit_m);
+    }
+    Ok(warm)
+}
+
+/// Index of the `n`-th frame when `len` frames are played forth and back: 0 1 2 2 1 0 0 1 ...
+fn forth_and_back(n: u64, len: usize) -> usize {
+    let at = (n % (2 * len as u64)) as usize;
+    if at < len { at } else { 2 * len - 1 - at }
+}
+
+fn table(r: &Results) -> String {
+    let e = &r.residual_mm;
+    format!(
+        "\
+{} ({}x{}), {} frames ({} loaded), {} threads, {} ({} cores)
+points      {:.0} a frame, coverage {:.3} %, kept {:.3} %, warm {:.1} %
+spheres     {:.0} a frame
+size        {:.4} bits per valid pixel ({:.0} bytes a frame); key frames {:.4}
+error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
+warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
+cold ms     p50 {:.2}  p99 {:.2}
+memory MB   {:.1}, of which frames {:.1}
+",
+        r.camera,
+        r.width,
+        r.height,
+        r.frames,
+        r.frames_loaded,
+        r.threads,
+        r.machine.cpu,
+        r.machine.cores,
+        r.points_per_frame,
+        r.coverage * 100.0,
+        r.points_kept * 100.0,
+        r.warm_points * 100.0,
+        r.spheres_per_frame,
+        r.bits_per_valid_px,
+        r.bytes_per_frame,
+        r.key_bits_per_valid_px,
+        e.mean,
+        e.p95,
+        e.p99,
+        e.max,
+        r.warm_ms.p50,
+        r.warm_ms.p99,
+        r.stage_ms.model.p50,
+        r.stage_ms.encode.p50,
+        r.decode_ms.p50,
+        r.cold_ms.p50,
+        r.cold_ms.p99,
+        r.rss_mb,
+        r.loaded_mb,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn short_inputs_are_played_forth_and_back() {
+        let order: Vec<_> = (0..8).map(|n| forth_and_back(n, 3)).collect();
+        assert_eq!(order, [0, 1, 2, 2, 1, 0, 0, 1]);
+        assert_eq!(forth_and_back(5, 1), 0);
+    }
+}

@@ -1,0 +1,92 @@
+//! `export`: the frames of a recording as files.
+
+use super::args::{ExportArg, ExportArgs};
+use super::failure::{Failure, Kind};
+use super::tape::Tape;
+use super::{message, signals, status};
+use saint_live::capture::CaptureError;
+use saint_live::export::{ExportError, FileSequence, Format, Output};
+use std::sync::atomic::Ordering;
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        let kind = match &error {
+            ExportError::Exists { .. }
+            | ExportError::UnknownFormat(_)
+            | ExportError::SingleFile { .. } => Kind::Usage,
+            ExportError::Write { .. } => Kind::Output,
+            ExportError::Empty { .. } => Kind::Input,
+            ExportError::Encode { .. } | ExportError::FrameSize { .. } => Kind::Failure,
+        };
+        Self::new(kind, error)
+    }
+}
+
+/// Writes one file per frame into a folder, or one file where `-o` ends like a file of the format.
+pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
+    let stop = signals::stop_flag()?;
+    let format = match args.to {
+        ExportArg::Ply => Format::Ply,
+        ExportArg::Spheres => Format::Spheres,
+        ExportArg::Pcd => Format::Pcd,
+        ExportArg::Exr => Format::Exr,
+        ExportArg::Png => Format::Png,
+        ExportArg::Png16 => Format::Png16,
+    };
+    let mut tape = Tape::open(&args.file)?;
+    let from = args.from;
+    let to = args
+        .frames
+        .map_or(u64::MAX, |most| from.saturating_add(most))
+        .min(tape.frames());
+    let one_file = args
+        .output
+        .extension()
+        .is_some_and(|ext| ext.eq_ignore_ascii_case(format.extension()))
+        && !args.output.is_dir();
+    let output = if one_file {
+        Output::File(args.output.clone())
+    } else {
+        Output::Folder(args.output.clone())
+    };
+    if one_file && to.saturating_sub(from) > 1 {
+        return Err(Failure::usage(format_args!(
+            "{} is one file and {} frames were asked for; choose one with --from {from} -n 1 or name a folder",
+            args.output.display(),
+            to - from,
+        )));
+    }
+    tape.seek(from)?;
+    let mut files = FileSequence::create(format, output, args.overwrite)?;
+    let bar = (!quiet).then(|| status::progress(to.saturating_sub(from)));
+    while let Some(number) = tape.advance() {
+        if number >= to || stop.load(Ordering::Relaxed) {
+            break;
+        }
+        if number >= from {
+            files.frame(&tape.frame(), number)?;
+            if let Some(bar) = &bar {
+                bar.inc(1);
+            }
+        }
+    }
+    if let Some(bar) = bar {
+        bar.finish_and_clear();
+    }
+    let summary = files.finish()?;
+    if !quiet {
+        message::say(&format!(
+            "wrote {}: {} files, {} bytes",
+            summary.path, summary.files, summary.bytes
+        ));
+    }
+    tape.finish()
+}
+
+/// A failed write of a depth image, where the output is at fault and not the input.
+pub fn output_error(error: CaptureError) -> Failure {
+    match error {
+        CaptureError::Input { .. } => Failure::new(Kind::Output, error),
+        other => other.into(),
+    }
+}

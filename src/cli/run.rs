@@ -1,0 +1,213 @@
+//! Live capture and replay: the same pipeline behind two kinds of source.
+
+use super::args::{EngineArgs, LateArg, LiveArgs, ReplayArgs, StreamArgs};
+use super::engine::{Engine, LiveEncode, LiveModel};
+use super::failure::{Failure, Kind};
+use super::sink::{self, Output};
+use super::source::{self, InputOptions};
+use super::status::Display;
+use super::{message, signals};
+use saint_live::capture::FrameSource;
+use saint_live::frame::Camera;
+use saint_live::pipeline::budget::{Budget, Late};
+use saint_live::pipeline::clock::{Clock, Monotonic};
+use saint_live::pipeline::color::ColorSource;
+use saint_live::pipeline::report::Report;
+use saint_live::pipeline::trace::Trace;
+use saint_live::pipeline::{self, Options, Pace, Stages};
+
+/// `saint-live --device ...`
+pub fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
+    let device = args.device.clone().unwrap_or_default();
+    let run = Run::new(&args.engine, &args.stream, device, quiet)?;
+    let mut source = source::live(args)?;
+    let color = source::color(args)?;
+    let pace = if source.is_live() {
+        Pace::Live
+    } else {
+        Pace::Block
+    };
+    run.stream(source.as_mut(), color, pace)
+}
+
+/// `saint-live replay INPUT`
+pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
+    let name = args.input.display().to_string();
+    let run = Run::new(&args.engine, &args.stream, name, quiet)?;
+    let options = InputOptions {
+        camera: args.camera.clone(),
+        range: args.range,
+        fps: args.fps,
+        exr_depth: args.exr_depth,
+    };
+    let mut source = if args.repeat {
+        source::repeated(&args.input, &options)?
+    } else {
+        source::recorded(&args.input, &options)?
+    };
+    let pace = if args.realtime {
+        Pace::Realtime
+    } else {
+        Pace::Block
+    };
+    run.stream(source.as_mut(), None, pace)
+}
+
+/// A run as it was asked for.
+struct Run<'a> {
+    engine: Engine,
+    stream: &'a StreamArgs,
+    source: String,
+    quiet: bool,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        engine: &EngineArgs,
+        stream: &'a StreamArgs,
+        source: String,
+        quiet: bool,
+    ) -> Result<Self, Failure> {
+        if sink::is_stdout(stream) && stream.stats.is_some() {
+            return Err(Failure::usage(
+                "-o - and --stats both write to standard output; name a file for one of them",
+            ));
+        }
+        Ok(Self {
+            engine: Engine::resolve(engine),
+            stream,
+            source,
+            quiet,
+        })
+    }
+
+    /// The contract: one frame period live, none for a replay that asks for none.
+    fn budget(&self, camera: &Camera, pace: Pace) -> Budget {
+        let asked = self.stream.budget.is_some() || self.stream.on_late.is_some();
+        if pace == Pace::Block && !asked && !self.stream.strict {
+            return Budget::UNLIMITED;
+        }
+        let late = match self.stream.on_late {
+            Some(LateArg::Drop) => Late::Drop,
+            Some(LateArg::Wait) => Late::Wait,
+            Some(LateArg::Degrade) | None => Late::Degrade,
+        };
+        let period = Budget::one_period(camera.fps, late);
+        Budget {
+            limit: self.stream.budget.unwrap_or(period.limit),
+            late,
+        }
+    }
+
+    /// Runs the pipeline, shows it, and says how it ended.
+    fn stream(
+        &self,
+        source: &mut dyn FrameSource,
+        mut color: Option<source::Color>,
+        pace: Pace,
+    ) -> Result<(), Failure> {
+        let stop = signals::stop_flag()?;
+        let camera = source.camera().clone();
+        if !self.quiet {
+            source::introduce(&camera);
+        }
+        self.engine.start_workers()?;
+        let mut model = LiveModel::new(&camera, &self.engine);
+        let mut encode = LiveEncode::new(&camera, &self.engine)?;
+        let mut output = Output::open(self.stream, &camera, self.engine.notes(&self.source))?;
+        let trace = self.trace()?;
+        let options = Options {
+            threads: self.engine.threads,
+            pace,
+            budget: self.budget(&camera, pace),
+            frames: self.stream.frames,
+            duration: self.stream.duration,
+        };
+        // a live stream has no end to measure progress by, unless one was set
+        let expected = match (source.len_hint(), self.stream.frames) {
+            (Some(hint), Some(most)) => Some(hint.min(most)),
+            (hint, most) => hint.or(most),
+        };
+        let expected = expected.filter(|_| pace != Pace::Live);
+        let mut display = Display::new(self.quiet, self.stream.stats, expected);
+        let stages = Stages {
+            source,
+            color: color.as_mut().map(|color| color as &mut dyn ColorSource),
+            model: &mut model,
+            encode: &mut encode,
+            sink: &mut output,
+            trace,
+        };
+        let outcome = pipeline::run(stages, &options, &Monotonic, &stop, &mut |meter| {
+            display.observe(meter, &stop);
+        });
+        let shown = display.finish(self.quiet, &outcome.report);
+        if let Some(error) = &outcome.color {
+            message::say(&format!("saint-live: colour ended early: {error}"));
+        }
+        if let (Some(summary), false) = (&output.summary, self.quiet) {
+            message::say(&format!(
+                "wrote {}: {} frames, {} bytes",
+                summary.target, summary.frames, summary.bytes
+            ));
+        }
+        outcome.result?;
+        shown?;
+        if outcome.report.frames == 0 && self.stream.frames != Some(0) {
+            self.nothing_written(&outcome.report, pace)?;
+        }
+        self.judge(&outcome.report)
+    }
+
+    /// A replay without a single frame is a bad input; a camera stopped at once is not.
+    fn nothing_written(&self, report: &Report, pace: Pace) -> Result<(), Failure> {
+        if pace == Pace::Live || report.sensor_frames > 0 {
+            return Ok(());
+        }
+        Err(Failure::new(
+            Kind::Input,
+            format_args!(
+                "{}: holds no frame; name a folder with depth images",
+                self.source
+            ),
+        ))
+    }
+
+    /// `--strict`: the budget is a promise.
+    fn judge(&self, report: &Report) -> Result<(), Failure> {
+        let missed = report.late + report.degraded + report.drops.budget + report.drops.queue;
+        if !self.stream.strict || missed == 0 {
+            return Ok(());
+        }
+        Err(Failure::new(
+            Kind::Budget,
+            format_args!(
+                "budget missed: {} frames late, {} degraded, {} dropped, of {}; allow more time with --budget or take fewer frames",
+                report.late,
+                report.degraded,
+                report.drops.budget + report.drops.queue,
+                report.sensor_frames,
+            ),
+        ))
+    }
+
+    fn trace(&self) -> Result<Option<Trace>, Failure> {
+        let Some(path) = &self.stream.trace else {
+            return Ok(None);
+        };
+        if path.exists() && !self.stream.overwrite {
+            return Err(Failure::usage(format_args!(
+                "{} exists already; give another name or --overwrite",
+                path.display()
+            )));
+        }
+        Trace::create(path, Monotonic.now_ns())
+            .map(Some)
+            .map_err(|source| {
+                Failure::new(
+                    Kind::Output,
+                    format_args!("cannot write {}: {source}", path.display()),
+                )
+            })
+    }
+}

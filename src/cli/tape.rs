@@ -1,0 +1,146 @@
+//! A recording of ours, decoded frame by frame: what replay, play and export read.
+
+use super::failure::{Failure, Kind};
+use saint_live::codec::{CodecError, Decoder, EncodedFrame};
+use saint_live::export::ExportFrame;
+use saint_live::fit::sphere::Sphere;
+use saint_live::frame::{Camera, ColorFrame};
+use saint_live::play::Frames;
+use saint_live::recording::{RecordingError, RecordingReader};
+use std::path::{Path, PathBuf};
+
+/// An open recording and the frame last decoded. A damaged place is skipped to the next key frame;
+/// a cut file plays to its last whole frame. Both are told when met and kept as [`Tape::fault`].
+pub struct Tape {
+    /// The camera.
+    pub camera: Camera,
+    path: PathBuf,
+    reader: RecordingReader,
+    decoder: Decoder,
+    encoded: EncodedFrame,
+    depth_m: Vec<f32>,
+    labels: Vec<u16>,
+    spheres: Vec<Option<Sphere>>,
+    fault: Option<String>,
+}
+
+impl Tape {
+    /// Opens a recording at its first frame.
+    pub fn open(path: &Path) -> Result<Self, Failure> {
+        let reader = RecordingReader::open(path)?;
+        Ok(Self {
+            camera: reader.camera().clone(),
+            path: path.to_owned(),
+            reader,
+            decoder: Decoder::new(),
+            encoded: EncodedFrame::default(),
+            depth_m: Vec::new(),
+            labels: Vec::new(),
+            spheres: Vec::new(),
+            fault: None,
+        })
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Number of frames.
+    pub fn frames(&self) -> u64 {
+        self.reader.frames()
+    }
+
+    /// Goes to the key frame from which `frame` can be decoded; gives its number.
+    pub fn seek(&mut self, frame: u64) -> Result<u64, Failure> {
+        if frame == 0 && self.frames() == 0 {
+            return Ok(0);
+        }
+        Ok(self.reader.seek(frame)?.position)
+    }
+
+    /// Decodes the next frame that can be decoded; gives its number, `None` at the end.
+    pub fn advance(&mut self) -> Option<u64> {
+        loop {
+            match self.reader.next_frame(&mut self.encoded) {
+                Ok(true) => {}
+                Ok(false) => return None,
+                Err(error @ RecordingError::Damaged { .. }) => {
+                    self.tell(&error);
+                    continue;
+                }
+                Err(error) => {
+                    self.tell(&error);
+                    return None;
+                }
+            }
+            match self.decoder.decode(&self.encoded.payload) {
+                Ok(decoded) => {
+                    self.depth_m.clone_from(&decoded.depth_m);
+                    self.labels.clone_from(&decoded.labels);
+                    self.spheres.clone_from(&decoded.spheres);
+                    return Some(self.reader.position().saturating_sub(1));
+                }
+                // frames after a damaged place wait for their key frame
+                Err(CodecError::MissingReference { .. }) if self.fault.is_some() => {}
+                Err(error) => {
+                    let frame = self.reader.position().saturating_sub(1);
+                    let path = self.path.display();
+                    let text = format!("{path}: frame {frame} cannot be decoded: {error}");
+                    self.tell(&text);
+                }
+            }
+        }
+    }
+
+    fn tell(&mut self, what: &dyn std::fmt::Display) {
+        tracing::warn!("{what}");
+        self.fault.get_or_insert_with(|| what.to_string());
+    }
+
+    /// The frame last decoded.
+    pub fn frame(&self) -> ExportFrame<'_> {
+        ExportFrame {
+            camera: &self.camera,
+            sequence: self.encoded.sequence,
+            time: self.encoded.time,
+            depth_m: &self.depth_m,
+            labels: &self.labels,
+            spheres: &self.spheres,
+        }
+    }
+
+    /// Colour images that came with the frame last decoded.
+    pub fn take_colors(&mut self) -> Vec<ColorFrame> {
+        self.reader.take_colors()
+    }
+
+    /// The first damage met, once.
+    pub fn take_fault(&mut self) -> Option<String> {
+        self.fault.take()
+    }
+
+    /// Ends a command that read to the end: damage met on the way makes it a failure.
+    pub fn finish(mut self) -> Result<(), Failure> {
+        match self.take_fault() {
+            None => Ok(()),
+            Some(fault) => Err(Failure::new(
+                Kind::Input,
+                format_args!("{fault}; everything that could be read was used"),
+            )),
+        }
+    }
+}
+
+impl Frames for Tape {
+    type Error = Failure;
+
+    fn seek(&mut self, frame: u64) -> Result<u64, Failure> {
+        Self::seek(self, frame)
+    }
+
+    fn advance(&mut self) -> Result<Option<(u64, i64)>, Failure> {
+        let number = Self::advance(self);
+        Ok(number.map(|number| (number, self.encoded.time.device_ns)))
+    }
+}

@@ -1,0 +1,371 @@
+//! The stages as the pipeline sees them, and the one step each of them makes for a frame.
+//!
+//! A step never lets a panic or an error out: it is kept as the pipeline's failure, the frame is
+//! counted and its packet goes back. So every stage can go on emptying its queue, and shutting
+//! down after a failure is the same as shutting down after the last frame.
+
+use super::budget::{Budget, CostModel, Decision, WorkLeft, decide};
+use super::clock::Clock;
+use super::error::{PipelineError, Stage, StageError, panic_message};
+use super::packet::{CodingReport, ModelReport, Packet, Span};
+use super::statistics::{DropCause, Statistics};
+use super::trace::Trace;
+use crate::codec::EncodedFrame;
+use crate::contact_map::labels::SaintFrame;
+use crate::frame::{ColorFrame, DepthFrame};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Finds the spheres and the contact map of a frame.
+pub trait Model: Send {
+    /// Models `depth` into `saint`. `deadline` turns true when no time is left for refinement;
+    /// the result must be complete all the same (what no sphere explains says so).
+    ///
+    /// # Errors
+    /// Whatever makes this frame impossible to model.
+    fn model(
+        &mut self,
+        depth: &DepthFrame,
+        saint: &mut SaintFrame,
+        deadline: &dyn Fn() -> bool,
+    ) -> Result<ModelReport, StageError>;
+}
+
+/// Writes a modelled frame as bytes.
+pub trait Encode: Send {
+    /// Encodes the frame, of which the model stage says `modelled`, into `encoded`, whose buffer is
+    /// reused.
+    ///
+    /// # Errors
+    /// Whatever makes this frame impossible to code.
+    fn encode(
+        &mut self,
+        depth: &DepthFrame,
+        saint: &SaintFrame,
+        modelled: &ModelReport,
+        encoded: &mut EncodedFrame,
+    ) -> Result<CodingReport, StageError>;
+}
+
+/// Takes finished frames: a file, a pipe, nothing.
+pub trait Sink: Send {
+    /// Takes a frame; packets come in order.
+    ///
+    /// # Errors
+    /// The output failed; the pipeline then stops.
+    fn frame(&mut self, packet: &Packet) -> Result<(), StageError>;
+
+    /// Takes a colour image.
+    ///
+    /// # Errors
+    /// The output failed; the pipeline then stops.
+    fn color(&mut self, color: &ColorFrame) -> Result<(), StageError> {
+        let _ = color;
+        Ok(())
+    }
+
+    /// Called about once a second while no frame comes, so that nothing waits in memory.
+    ///
+    /// # Errors
+    /// The output failed; the pipeline then stops.
+    fn idle(&mut self) -> Result<(), StageError> {
+        Ok(())
+    }
+
+    /// Closes the output. Called once, at the end, also after a failure.
+    ///
+    /// # Errors
+    /// The output failed.
+    fn finish(&mut self) -> Result<(), StageError> {
+        Ok(())
+    }
+}
+
+/// What the stages learnt of their cost.
+#[derive(Debug, Default)]
+struct Costs {
+    model: CostModel,
+    encode: CostModel,
+    sink: CostModel,
+}
+
+/// What all stages of one run share.
+pub(super) struct Shared<'a> {
+    pub(super) clock: &'a dyn Clock,
+    pub(super) statistics: Mutex<Statistics>,
+    budget: Budget,
+    /// True where age begins when work on the frame begins (unpaced replay).
+    age_from_model: bool,
+    stop: &'a AtomicBool,
+    failing: AtomicBool,
+    failure: Mutex<Option<(Stage, PipelineError)>>,
+    costs: Mutex<Costs>,
+    trace: Mutex<Option<Trace>>,
+}
+
+/// A lock that a panicking stage cannot take away from the others.
+pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn ns(from: i64, to: i64) -> Duration {
+    Duration::from_nanos(u64::try_from(to - from).unwrap_or(0))
+}
+
+impl<'a> Shared<'a> {
+    pub(super) fn new(
+        clock: &'a dyn Clock,
+        stop: &'a AtomicBool,
+        budget: Budget,
+        age_from_model: bool,
+        trace: Option<Trace>,
+    ) -> Self {
+        let limit_ns = i64::try_from(budget.limit.as_nanos()).unwrap_or(i64::MAX);
+        Self {
+            clock,
+            statistics: Mutex::new(Statistics::new(clock.now_ns(), limit_ns)),
+            budget,
+            age_from_model,
+            stop,
+            failing: AtomicBool::new(false),
+            failure: Mutex::new(None),
+            costs: Mutex::new(Costs::default()),
+            trace: Mutex::new(trace),
+        }
+    }
+
+    /// True when no more frames are to be taken from the source.
+    pub(super) fn stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.failing.load(Ordering::Relaxed)
+    }
+
+    /// Keeps the first failure; the source then ends.
+    pub(super) fn fail(&self, stage: Stage, error: PipelineError) {
+        locked(&self.failure).get_or_insert((stage, error));
+        self.failing.store(true, Ordering::Relaxed);
+    }
+
+    pub(super) fn take_failure(&self) -> Option<PipelineError> {
+        locked(&self.failure).take().map(|(_, error)| error)
+    }
+
+    /// Where `stage` or a later one has failed: why its frames cannot be finished.
+    fn hopeless(&self, stage: Stage) -> Option<DropCause> {
+        if !self.failing.load(Ordering::Relaxed) {
+            return None;
+        }
+        match &*locked(&self.failure) {
+            Some((Stage::Sink, _)) => Some(DropCause::Sink),
+            Some((failed, _)) if *failed >= stage && *failed != Stage::Color => {
+                Some(DropCause::Failed)
+            }
+            _ => None,
+        }
+    }
+
+    /// Counts a frame that was given up.
+    pub(super) fn dropped(&self, packet: &Packet, cause: DropCause) {
+        locked(&self.statistics).dropped(cause);
+        let name = match cause {
+            DropCause::Queue => "queue",
+            DropCause::Budget => "budget",
+            DropCause::Sink => "sink",
+            DropCause::Failed => "failed",
+        };
+        self.traced(|trace, now| trace.dropped(packet.depth.sequence, name, now));
+    }
+
+    fn traced(&self, write: impl FnOnce(&mut Trace, i64) -> std::io::Result<()>) {
+        let mut trace = locked(&self.trace);
+        if let Some(open) = trace.as_mut()
+            && let Err(error) = write(open, self.clock.now_ns())
+        {
+            *trace = None;
+            drop(trace);
+            self.fail(Stage::Color, PipelineError::Trace(error));
+        }
+    }
+
+    pub(super) fn finish_trace(&self) {
+        self.traced(|trace, _| trace.flush());
+    }
+
+    /// Runs a stage's own code; an error or a panic becomes the pipeline's failure.
+    pub(super) fn guarded<T>(
+        &self,
+        stage: Stage,
+        sequence: u64,
+        work: impl FnOnce() -> Result<T, StageError>,
+    ) -> Option<T> {
+        let error = match catch_unwind(AssertUnwindSafe(work)) {
+            Ok(Ok(value)) => return Some(value),
+            Ok(Err(source)) if stage == Stage::Sink => PipelineError::Sink(source),
+            Ok(Err(source)) => PipelineError::Stage {
+                stage,
+                sequence,
+                source,
+            },
+            Err(payload) => PipelineError::Panic {
+                stage,
+                message: panic_message(payload.as_ref()),
+            },
+        };
+        self.fail(stage, error);
+        None
+    }
+
+    /// Counts the frame of a stage that just failed.
+    fn give_up(&self, stage: Stage, packet: &Packet) -> bool {
+        let cause = self.hopeless(stage).unwrap_or(DropCause::Failed);
+        self.dropped(packet, cause);
+        false
+    }
+
+    /// Models a packet; false where it goes no further (and was counted).
+    pub(super) fn model_step(&self, model: &mut dyn Model, packet: &mut Packet) -> bool {
+        if let Some(cause) = self.hopeless(Stage::Model) {
+            self.dropped(packet, cause);
+            return false;
+        }
+        let start = self.clock.now_ns();
+        if self.age_from_model {
+            packet.record.stamp_ns = start;
+        }
+        let pixels = packet.depth.depth.len() as u64;
+        let work = {
+            let costs = locked(&self.costs);
+            WorkLeft {
+                stage: costs.model.predict(pixels),
+                after: costs.encode.predict(pixels) + costs.sink.predict(1),
+            }
+        };
+        let age = ns(packet.record.stamp_ns, start);
+        let until = match decide(age, work, self.budget) {
+            Decision::Run => i64::MAX,
+            Decision::RunFor(time) => {
+                start.saturating_add(i64::try_from(time.as_nanos()).unwrap_or(i64::MAX))
+            }
+            Decision::GiveUp => {
+                locked(&self.costs).model.relax();
+                self.dropped(packet, DropCause::Budget);
+                return false;
+            }
+        };
+        let deadline = || until != i64::MAX && self.clock.now_ns() >= until;
+        let report = self.guarded(Stage::Model, packet.depth.sequence, || {
+            model.model(&packet.depth, &mut packet.saint, &deadline)
+        });
+        let Some(report) = report else {
+            return self.give_up(Stage::Model, packet);
+        };
+        let end = self.clock.now_ns();
+        packet.record.modelled = report;
+        packet.record.model = Span {
+            start_ns: start,
+            end_ns: end,
+        };
+        locked(&self.costs).model.observe(pixels, ns(start, end));
+        true
+    }
+
+    /// Encodes a packet; false where it goes no further (and was counted).
+    pub(super) fn encode_step(&self, encode: &mut dyn Encode, packet: &mut Packet) -> bool {
+        if let Some(cause) = self.hopeless(Stage::Encode) {
+            self.dropped(packet, cause);
+            return false;
+        }
+        let start = self.clock.now_ns();
+        let pixels = packet.depth.depth.len() as u64;
+        let work = {
+            let costs = locked(&self.costs);
+            WorkLeft {
+                stage: costs.encode.predict(pixels),
+                after: costs.sink.predict(1),
+            }
+        };
+        // only the drop policy refuses: a payload is never cut short by time
+        if decide(ns(packet.record.stamp_ns, start), work, self.budget) == Decision::GiveUp {
+            locked(&self.costs).encode.relax();
+            self.dropped(packet, DropCause::Budget);
+            return false;
+        }
+        let report = self.guarded(Stage::Encode, packet.depth.sequence, || {
+            encode.encode(
+                &packet.depth,
+                &packet.saint,
+                &packet.record.modelled,
+                &mut packet.encoded,
+            )
+        });
+        let Some(report) = report else {
+            return self.give_up(Stage::Encode, packet);
+        };
+        let end = self.clock.now_ns();
+        packet.record.coded = report;
+        packet.record.encode = Span {
+            start_ns: start,
+            end_ns: end,
+        };
+        packet.record.bytes = packet.encoded.payload.len() as u64;
+        packet.record.key = packet.encoded.key;
+        locked(&self.costs).encode.observe(pixels, ns(start, end));
+        true
+    }
+
+    /// Writes a packet and counts it.
+    pub(super) fn sink_step(&self, sink: &mut dyn Sink, packet: &mut Packet) {
+        if let Some(cause) = self.hopeless(Stage::Sink) {
+            self.dropped(packet, cause);
+            return;
+        }
+        let start = self.clock.now_ns();
+        let written = self.guarded(Stage::Sink, packet.depth.sequence, || {
+            sink.frame(packet)?;
+            match &packet.color {
+                Some(color) => sink.color(color),
+                None => Ok(()),
+            }
+        });
+        if written.is_none() {
+            self.give_up(Stage::Sink, packet);
+            return;
+        }
+        let end = self.clock.now_ns();
+        packet.record.sink = Span {
+            start_ns: start,
+            end_ns: end,
+        };
+        locked(&self.costs).sink.observe(1, ns(start, end));
+        {
+            let mut statistics = locked(&self.statistics);
+            statistics.written(&packet.record);
+            if packet.color.is_some() {
+                statistics.color(true);
+            }
+        }
+        self.traced(|trace, _| trace.frame(&packet.record));
+    }
+
+    /// Writes an image of the colour camera and counts it.
+    pub(super) fn color_step(&self, sink: &mut dyn Sink, color: &ColorFrame) {
+        let written = self.hopeless(Stage::Sink).is_none()
+            && self
+                .guarded(Stage::Sink, color.sequence, || sink.color(color))
+                .is_some();
+        locked(&self.statistics).color(written);
+    }
+
+    /// Nothing came for a while.
+    pub(super) fn idle_step(&self, sink: &mut dyn Sink) {
+        if self.hopeless(Stage::Sink).is_none() {
+            let _ = self.guarded(Stage::Sink, 0, || sink.idle());
+        }
+    }
+
+    /// Closes the output, whatever happened before.
+    pub(super) fn finish_sink(&self, sink: &mut dyn Sink) {
+        let _ = self.guarded(Stage::Sink, 0, || sink.finish());
+    }
+}
