@@ -1,5 +1,11 @@
 //! The program from outside: what a script sees.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
 use assert_cmd::Command;
 use std::ffi::OsStr;
 use std::path::Path;

@@ -6,7 +6,7 @@ use super::budget::{Budget, Late};
 use super::clock::fake::FakeClock;
 use super::clock::{Clock, Monotonic};
 use super::*;
-use mocks::{Event, MockColor, MockEncode, MockModel, MockSink, MockSource};
+use mocks::{Event, MockColor, MockEncode, MockModel, MockSink, MockSource, Work};
 use proptest::prelude::*;
 use std::sync::atomic::AtomicU64;
 
@@ -262,12 +262,14 @@ fn a_stop_writes_what_is_under_way() {
     for threads in [1, 4] {
         let stop = AtomicBool::new(false);
         let mut source = MockSource::frames(100_000);
-        let mut sink = MockSink::default();
-        sink.after = Some(Box::new(|n| {
-            if n == 20 {
-                stop.store(true, Ordering::SeqCst);
-            }
-        }));
+        let mut sink = MockSink {
+            after: Some(Box::new(|n| {
+                if n == 20 {
+                    stop.store(true, Ordering::SeqCst);
+                }
+            })),
+            ..MockSink::default()
+        };
         let stages = Stages {
             source: &mut source,
             color: None,
@@ -481,7 +483,7 @@ proptest! {
             work: slow.then(|| Box::new(|n: u64, _: &dyn Fn() -> bool| {
                 clock.advance(if n.is_multiple_of(7) { 50_000_000 } else { 1_000_000 });
                 false
-            }) as Box<dyn FnMut(u64, &dyn Fn() -> bool) -> bool + Send>),
+            }) as Work<'_>),
             ..MockModel::default()
         };
         let mut encode = MockEncode { panic_at: encode_panics };

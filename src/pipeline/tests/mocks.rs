@@ -115,13 +115,16 @@ impl FrameSource for MockSource<'_> {
     }
 }
 
+/// What the model does for a frame (number, deadline); true where it was cut short.
+pub(super) type Work<'a> = Box<dyn FnMut(u64, &dyn Fn() -> bool) -> bool + Send + 'a>;
+
 /// Sums what it sees, so that its output depends on every frame before (order matters).
 #[derive(Default)]
 pub(super) struct MockModel<'a> {
     pub(super) state: u16,
     pub(super) fail_at: Option<u64>,
     pub(super) panic_at: Option<u64>,
-    pub(super) work: Option<Box<dyn FnMut(u64, &dyn Fn() -> bool) -> bool + Send + 'a>>,
+    pub(super) work: Option<Work<'a>>,
 }
 
 impl Model for MockModel<'_> {
