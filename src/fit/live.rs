@@ -183,11 +183,12 @@ impl Modeler {
 
     /// Pass 2: the last frame's spheres.
     fn warm_start(&mut self, report: &mut FitReport) {
-        warm::start(
+        self.frame.motion = warm::start(
             &self.rays,
             &mut self.blocks,
             &self.before,
             &mut self.slots,
+            &self.options.contact_distance,
             &mut self.warm,
             report,
         );
@@ -328,6 +329,7 @@ impl Modeler {
             }
         }
         report.spheres = self.slots.iter().flatten().count() as u32;
+        out.motion = self.frame.motion;
         out.spheres.clear();
         out.spheres
             .extend(self.slots.iter().map(|s| s.map(|p| p.fit.sphere)));
