@@ -17,6 +17,8 @@ use glam::Vec3;
 
 /// An atom's own surface may be this far off (mean square, contact distances).
 const ATOM_MISFIT: f64 = 0.3;
+/// Bits a point costs without any sphere: a rougher atom is one where that is dearer.
+const FALLBACK_BITS: f64 = 3.0;
 /// Fewest points of an atom.
 const ATOM_POINTS: u32 = 8;
 /// Fewest points for which a new sphere is worth its bits.
@@ -148,7 +150,7 @@ fn atoms_of(
         let Some(patch) = Patch::new(m) else {
             return false;
         };
-        if patch.fit.misfit > ATOM_MISFIT {
+        if patch.fit.misfit > ATOM_MISFIT && patch.bits > FALLBACK_BITS * patch.moments.count {
             return false;
         }
         let (w, u, v) = m.mean();

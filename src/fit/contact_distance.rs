@@ -87,12 +87,12 @@ impl ContactDistance {
 }
 
 impl Default for ContactDistance {
-    /// 8 mm, growing with about twice the noise of Kinect and RealSense (1.4e-3·z²): noise stays
+    /// 12 mm, growing with about three times the noise of Kinect and RealSense (1.4e-3·z²): noise stays
     /// inside, surfaces do not.
     fn default() -> Self {
         Self {
-            floor_m: 0.008,
-            per_z2: 2.6e-3,
+            floor_m: 0.012,
+            per_z2: 4e-3,
         }
     }
 }

@@ -103,7 +103,7 @@ impl Default for Block {
 /// take in its neighbours' noise; fitted to about half, spheres describe surfaces and the rest of
 /// the distance is room for noise. At equal Chamfer distance this halves the bits of labels and
 /// residuals (Kinect, moving: 0.33 to 0.21 bits per pixel at 2 mm).
-const SURFACE_SHARE: f64 = 0.55;
+const SURFACE_SHARE: f64 = 0.5;
 /// Share of the contact distance within which a pixel is given to a sphere; what is left is room
 /// for the quantisation of spheres in the payload.
 const TOUCH_SHARE: f64 = 0.85;
