@@ -52,7 +52,7 @@ impl Engine {
         // a bound on the error is a contact distance, too: what lies farther off is not modelled
         let bound = args.max_error.map(|most| ContactDistance::constant(most.0));
         if let (Some(bound), None) = (bound, args.contact_distance) {
-            fit.contact_distance = bound;
+            fit.contact_distance = ContactDistance::for_bound(bound.floor_m);
         }
         let codec = CodecOptions {
             keyframe_every: args.keyframe_every.unwrap_or(KEYFRAME_EVERY),

@@ -120,6 +120,9 @@ impl Decoder {
         };
         let state = &mut self.state;
         state.begin(rays, key);
+        if !key {
+            state.follow(&header.motion);
+        }
         read_sections(state, rays, key, sections)?;
         state.predict(rays);
         rebuild(

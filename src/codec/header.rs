@@ -2,6 +2,7 @@
 
 use super::CodecError;
 use crate::fit::contact_distance::ContactDistance;
+use crate::fit::motion::{self, Motion};
 use crate::frame::{Camera, FrameTime, Intrinsics};
 
 /// First two bytes of a payload.
@@ -18,6 +19,7 @@ pub const SECTIONS: usize = 4;
 const KEY: u8 = 1;
 const LOSSLESS: u8 = 2;
 const DEGRADED: u8 = 4;
+const MOVED: u8 = 8;
 
 /// How well a measurement must come back.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,6 +121,8 @@ pub struct Header {
     pub reference: u64,
     /// When the frame was taken.
     pub time: FrameTime,
+    /// Camera motion since the reference frame (P frames).
+    pub motion: Motion,
     /// True where the latency budget cut the fit short.
     pub degraded: bool,
     /// Bytes of each section: mask, labels, spheres, residual.
@@ -126,6 +130,10 @@ pub struct Header {
 }
 
 impl Header {
+    fn is_moved(&self) -> bool {
+        self.stream.is_none() && !self.motion.is_still()
+    }
+
     /// Appends the header's bytes.
     pub fn write(&self, out: &mut Vec<u8>) {
         out.extend(MAGIC);
@@ -134,7 +142,8 @@ impl Header {
         out.push(
             u8::from(self.stream.is_some()) * KEY
                 | u8::from(lossless) * LOSSLESS
-                | u8::from(self.degraded) * DEGRADED,
+                | u8::from(self.degraded) * DEGRADED
+                | u8::from(self.is_moved()) * MOVED,
         );
         write_varint(out, self.sequence);
         out.extend(self.time.device_ns.to_le_bytes());
@@ -156,7 +165,14 @@ impl Header {
                     out.extend(f.to_le_bytes());
                 }
             }
-            None => write_varint(out, self.sequence.wrapping_sub(self.reference)),
+            None => {
+                write_varint(out, self.sequence.wrapping_sub(self.reference));
+                if self.is_moved() {
+                    for n in self.motion.turn.into_iter().chain(self.motion.shift) {
+                        write_varint(out, u64::from(((n << 1) ^ (n >> 31)) as u32));
+                    }
+                }
+            }
         }
         for &bytes in &self.sections {
             write_varint(out, bytes as u64);
@@ -184,7 +200,7 @@ impl Header {
             return Err(CodecError::Version { found: version });
         }
         let flags = r.byte()?;
-        if flags & !(KEY | LOSSLESS | DEGRADED) != 0 {
+        if flags & !(KEY | LOSSLESS | DEGRADED | MOVED) != 0 {
             return Err(CodecError::Corrupt {
                 at: 3,
                 what: "flags of no known meaning are set",
@@ -195,7 +211,7 @@ impl Header {
             device_ns: i64::from_le_bytes(r.array()?),
             wall_ns: i64::from_le_bytes(r.array()?),
         };
-        let (mut stream, mut reference) = (None, 0);
+        let (mut stream, mut reference, mut motion) = (None, 0, Motion::default());
         if flags & KEY != 0 {
             let (width, height) = (r.varint()?, r.varint()?);
             let side = |v: u64| u32::try_from(v).unwrap_or(u32::MAX);
@@ -225,6 +241,11 @@ impl Header {
             stream = Some(s);
         } else {
             reference = sequence.wrapping_sub(r.varint()?);
+            if flags & MOVED != 0 {
+                for n in motion.turn.iter_mut().chain(&mut motion.shift) {
+                    *n = r.steps()?;
+                }
+            }
         }
         let mut sections = [0; SECTIONS];
         for s in &mut sections {
@@ -246,6 +267,7 @@ impl Header {
                 sequence,
                 reference,
                 time,
+                motion,
                 degraded: flags & DEGRADED != 0,
                 sections,
             },
@@ -287,6 +309,18 @@ impl<'a> Reader<'a> {
         let mut a = [0; 8];
         a.copy_from_slice(self.take(8)?);
         Ok(a)
+    }
+
+    /// A component of a motion.
+    fn steps(&mut self) -> Result<i32, CodecError> {
+        let folded = self.varint()?;
+        if folded > 2 * motion::MOST as u64 + 1 {
+            return Err(CodecError::Corrupt {
+                at: self.at,
+                what: "a motion no frame can make",
+            });
+        }
+        Ok((folded >> 1) as i32 ^ -((folded & 1) as i32))
     }
 
     fn varint(&mut self) -> Result<u64, CodecError> {

@@ -8,6 +8,7 @@ use super::sphere_table::{self, Entry, Support};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
+use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 
 /// Most spheres a frame may hold.
@@ -61,6 +62,21 @@ impl State {
         self.now.entries.clear();
         self.new
             .reset(self.before.entries.iter().map(Option::is_some));
+    }
+
+    /// Carries the reference frame's spheres along with the camera.
+    pub fn follow(&mut self, motion: &Motion) {
+        if !motion.is_still() {
+            let mover = motion.mover();
+            for entry in &mut self.before.entries {
+                *entry = entry.and_then(|e| {
+                    mover.sphere(&e.sphere).map(|sphere| Entry {
+                        sphere,
+                        step: e.step,
+                    })
+                });
+            }
+        }
     }
 
     /// Fills `predicted` and `rebuilt` from masks, labels and spheres, and clears `k`.

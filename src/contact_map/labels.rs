@@ -16,4 +16,7 @@ pub struct SaintFrame {
     pub spheres: Vec<Option<crate::fit::sphere::Sphere>>,
     /// Per pixel, row-major: a slot of `spheres`, [`NO_SPHERE`] or [`INVALID`].
     pub labels: Vec<u16>,
+    /// How the camera moved since the frame before; still where it is not known. Spheres that
+    /// stand still in the world have moved by this and are otherwise unchanged to the bit.
+    pub motion: crate::fit::motion::Motion,
 }

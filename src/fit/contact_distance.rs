@@ -59,6 +59,26 @@ impl ContactDistance {
         self.floor_m.max(self.per_z2 * z_m * z_m)
     }
 
+    /// The distance to fit with where every pixel must come back within `bound_m` metres: it never
+    /// falls below the sensor's noise, which spheres should not follow. What it lets through the
+    /// residual section codes (Kinect at 5 mm: 0.59 bits per pixel, against 0.91 fitted to 5 mm).
+    #[must_use]
+    pub fn for_bound(bound_m: f64) -> Self {
+        Self {
+            floor_m: 1.8 * bound_m,
+            per_z2: 5e-3,
+        }
+    }
+
+    /// This share of the distance.
+    #[must_use]
+    pub fn scaled(&self, share: f64) -> Self {
+        Self {
+            floor_m: self.floor_m * share,
+            per_z2: self.per_z2 * share,
+        }
+    }
+
     /// True where depth plays no part.
     #[must_use]
     pub fn is_constant(&self) -> bool {
@@ -67,11 +87,12 @@ impl ContactDistance {
 }
 
 impl Default for ContactDistance {
-    /// 5 mm, growing as Kinect and RealSense noise does.
+    /// 8 mm, growing with about twice the noise of Kinect and RealSense (1.4e-3·z²): noise stays
+    /// inside, surfaces do not.
     fn default() -> Self {
         Self {
-            floor_m: 0.005,
-            per_z2: 1.4e-3,
+            floor_m: 0.008,
+            per_z2: 2.6e-3,
         }
     }
 }

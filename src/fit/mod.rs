@@ -8,6 +8,7 @@ mod cover;
 pub mod live;
 mod merge;
 pub mod moments;
+pub mod motion;
 pub mod point_moments;
 pub mod progressive;
 pub mod random;

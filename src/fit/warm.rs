@@ -6,14 +6,19 @@
 //! time): on a still scene nothing changes and nothing is sent.
 
 use super::agglomerate::Patch;
+use super::contact_distance::ContactDistance;
 use super::live::{Block, FitReport, MIN_BLOCK_PIXELS};
 use super::moments::{Fit, Moments, bits_per_point};
+use super::motion::{self, Motion, Observation};
 use crate::contact_map::assign::Palette;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::Rays;
+use glam::DVec3;
 
 /// Bits it costs to send a sphere's change.
 const CHANGE_BITS: f64 = 28.0;
+/// Bits a motion must save: its own and those of what it unsettles.
+const MOTION_BITS: f64 = 300.0;
 /// Blocks this far off (mean square, contact distances) still pull a sphere along: the camera moved.
 const LOOSE: f64 = 4.0;
 /// Blocks this near are explained.
@@ -23,6 +28,7 @@ pub(super) const TIGHT: f64 = 0.3;
 #[derive(Debug, Default)]
 pub(super) struct Workspace {
     sums: Vec<Moments>,
+    observations: Vec<Observation>,
     pub(super) used: Vec<u32>,
 }
 
@@ -31,12 +37,14 @@ pub(super) fn start(
     blocks: &mut [Block],
     before: &[Palette],
     slots: &mut [Option<Patch>],
+    distance: &ContactDistance,
     work: &mut Workspace,
     report: &mut FitReport,
-) {
+) -> Motion {
     if slots.is_empty() {
-        return;
+        return Motion::default();
     }
+    let motion = follow(blocks, before, slots, distance, work);
     choose(rays, blocks, before, slots, LOOSE);
     refit(blocks, slots, work, report);
     choose(rays, blocks, before, slots, TIGHT);
@@ -45,6 +53,61 @@ pub(super) fn start(
             report.warm_pixels += block.valid.count_ones();
         }
     }
+    motion
+}
+
+/// Estimates the camera's motion and carries the spheres along where that explains the blocks
+/// better by more bits than the motion costs.
+fn follow(
+    blocks: &[Block],
+    before: &[Palette],
+    slots: &mut [Option<Patch>],
+    distance: &ContactDistance,
+    work: &mut Workspace,
+) -> Motion {
+    work.observations.clear();
+    for (block, palette) in blocks.iter().zip(before) {
+        if let (Some(Some(patch)), true) = (
+            slots.get(usize::from(palette[0])),
+            block.valid.count_ones() >= 48,
+        ) {
+            let (w, u, v) = block.moments.mean();
+            let z = 1.0 / w;
+            work.observations.push(Observation {
+                point: DVec3::new(u * z, v * z, z),
+                reach: distance.at(z),
+                sphere: patch.fit.sphere,
+            });
+        }
+    }
+    let Some(motion) = motion::estimate(&work.observations).filter(|m| !m.is_still()) else {
+        return Motion::default();
+    };
+    let mover = motion.mover();
+    let price = |moved: bool| -> f64 {
+        let cost = |(block, palette): (&Block, &Palette)| {
+            let sphere = slots.get(usize::from(palette[0]))?.as_ref()?.fit.sphere;
+            let sphere = if moved {
+                mover.sphere(&sphere)?
+            } else {
+                sphere
+            };
+            Some(block.moments.count * bits_per_point(block.moments.misfit(&sphere)).min(8.0))
+        };
+        blocks.iter().zip(before).filter_map(cost).sum()
+    };
+    if price(true) + MOTION_BITS >= price(false) {
+        return Motion::default();
+    }
+    for slot in slots {
+        if let Some(patch) = slot {
+            match mover.sphere(&patch.fit.sphere) {
+                Some(moved) => patch.fit.sphere = moved,
+                None => *slot = None,
+            }
+        }
+    }
+    motion
 }
 
 /// Gives each block the best of the last frame's spheres around it, where it is good enough.
@@ -114,6 +177,7 @@ fn refit(
     for (slot, sums) in slots.iter_mut().zip(&work.sums) {
         let Some(patch) = slot else { continue };
         if sums.count < 16.0 {
+            patch.moments = *sums; // last frame's sums are of another camera position
             report.kept += 1;
             continue;
         }
