@@ -15,6 +15,7 @@ use saint_live::pipeline::color::ColorSource;
 use saint_live::pipeline::report::Report;
 use saint_live::pipeline::trace::Trace;
 use saint_live::pipeline::{self, Options, Pace, Stages};
+use std::path::Path;
 
 /// `saint-live --device ...`
 pub fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
@@ -33,6 +34,13 @@ pub fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
 /// `saint-live replay INPUT`
 pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
     let name = args.input.display().to_string();
+    if let Some(output) = &args.stream.output
+        && is_same_file(output, &args.input)
+    {
+        return Err(Failure::usage(format_args!(
+            "{name} is input and output at once; give -o another name"
+        )));
+    }
     let run = Run::new(&args.engine, &args.stream, name, quiet)?;
     let options = InputOptions {
         camera: args.camera.clone(),
@@ -51,6 +59,12 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
         Pace::Block
     };
     run.stream(source.as_mut(), None, pace)
+}
+
+/// True where both names lead to one file: writing the one would destroy the other.
+fn is_same_file(output: &Path, input: &Path) -> bool {
+    let whole = |path: &Path| path.canonicalize().ok();
+    input.is_file() && whole(output).is_some_and(|path| Some(path) == whole(input))
 }
 
 /// A run as it was asked for.

@@ -126,7 +126,7 @@ pub enum ExportError {
         path: PathBuf,
     },
     /// A file cannot be written: exit 5.
-    #[error("cannot write {}: {source}; {files} files are kept", .path.display())]
+    #[error("cannot write {}: {source}; {files} files are kept; choose a place that may be written and has room", .path.display())]
     Write {
         /// The file.
         path: PathBuf,

@@ -113,6 +113,13 @@ impl FileSequence {
                 return Err(exists(path, false));
             }
             Output::File(_) => {}
+            Output::Folder(folder) if folder.exists() && !folder.is_dir() => {
+                return Err(write_error(
+                    folder,
+                    0,
+                    io::Error::from(io::ErrorKind::NotADirectory),
+                ));
+            }
             Output::Folder(folder) => prepare(folder, format, overwrite)
                 .map_err(|source| write_error(folder, 0, source))?,
         }

@@ -15,7 +15,7 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// The output cannot be opened for writing: exit 5.
-    #[error("cannot write {}: {source}; choose a folder that exists and may be written", .path.display())]
+    #[error("cannot write {}: {source}; name a file in a folder that exists and may be written", .path.display())]
     Unwritable {
         /// The file.
         path: PathBuf,
@@ -91,7 +91,7 @@ pub enum RecordingError {
         what: String,
     },
     /// The input cannot be opened or read: exit 4.
-    #[error("cannot read {}: {source}", .path.display())]
+    #[error("cannot read {}: {source}; check the path and its permissions", .path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,

@@ -150,7 +150,11 @@ fn open_file(path: PathBuf, overwrite: bool) -> Result<Output, RecordingError> {
     let mut options = OpenOptions::new();
     options.write(true);
     let existing = std::fs::metadata(&path);
-    let special = existing.as_ref().is_ok_and(|m| !m.is_file() && !m.is_dir());
+    if existing.as_ref().is_ok_and(std::fs::Metadata::is_dir) {
+        let source = io::Error::from(io::ErrorKind::IsADirectory);
+        return Err(RecordingError::Unwritable { path, source });
+    }
+    let special = existing.as_ref().is_ok_and(|m| !m.is_file());
     if !special {
         if overwrite {
             options.create(true).truncate(true);

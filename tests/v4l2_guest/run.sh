@@ -1,7 +1,7 @@
 #!/bin/bash
 # run.sh [WORKDIR]: saint-live on a real kernel V4L2 node, without a camera.
 #
-# Boots Debian's stock kernel in QEMU (software emulation, about two minutes) with a depth camera
+# Boots Debian's stock kernel in QEMU (software emulation: two minutes on an idle machine) with a depth camera
 # made of software (camera.rs) on the kernel's virtual USB controller, plays the scenarios of
 # `init`, and checks what was recorded pixel by pixel (tests/v4l2_guest.rs).
 #
@@ -69,7 +69,7 @@ done
 rm -rf out results.img
 truncate -s 512M results.img
 echo "v4l2_guest: booting $version"
-timeout 600 qemu-system-x86_64 -machine pc -cpu max -accel tcg -m 1024 -smp 1 \
+timeout 1500 qemu-system-x86_64 -machine pc -cpu max -accel tcg -m 1024 -smp 1 \
     -kernel "kernel/boot/vmlinuz-$version" -initrd initrd.cpio \
     -drive file=results.img,format=raw,if=none,id=results -device virtio-blk-pci,drive=results \
     -nographic -no-reboot -nodefaults -serial stdio \

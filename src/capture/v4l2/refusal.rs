@@ -55,7 +55,7 @@ fn explain(doing: &str, error: &io::Error) -> (String, &'static str) {
         Some(libc::EBUSY) => "another program is using the camera",
         Some(libc::ENODEV | libc::ENXIO | libc::ESHUTDOWN) => "the camera was unplugged",
         Some(libc::EINVAL) => "the driver refused it as invalid (EINVAL)",
-        Some(libc::ENOTTY) => "it is not a V4L2 video device",
+        Some(libc::ENOTTY | libc::EISDIR) => "it is not a V4L2 video device",
         Some(libc::ENOSPC) => "the USB bus has no bandwidth left for this stream",
         Some(libc::EIO) => "the camera reports an input/output error (EIO)",
         _ => {
@@ -77,7 +77,7 @@ fn explain(doing: &str, error: &io::Error) -> (String, &'static str) {
         Some(libc::EINVAL) => {
             "choose --pixel-format, --size and --fps from what `saint-live devices` lists"
         }
-        Some(libc::ENOTTY) => "give a /dev/videoN; `saint-live devices` lists them",
+        Some(libc::ENOTTY | libc::EISDIR) => "give a /dev/videoN; `saint-live devices` lists them",
         Some(libc::ENOSPC) => {
             "ask for a smaller --size or --fps, or use a port on another USB controller"
         }
@@ -129,6 +129,7 @@ mod tests {
             (libc::ENODEV, "unplugged", "plug it in again"),
             (libc::EINVAL, "EINVAL", "--pixel-format"),
             (libc::ENOTTY, "not a V4L2", "/dev/videoN"),
+            (libc::EISDIR, "not a V4L2", "/dev/videoN"),
             (libc::ENOSPC, "bandwidth", "--fps"),
             (libc::EIO, "EIO", "another port"),
             (libc::ENOMEM, "os error 12", "dmesg"),

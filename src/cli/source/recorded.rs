@@ -51,7 +51,11 @@ impl RecordedSource {
             Some(what) => Err(CaptureError::Input {
                 path: self.tape.path().to_owned(),
                 frame: None,
-                what,
+                // the error names the path itself
+                what: match what.strip_prefix(&format!("{}: ", self.tape.path().display())) {
+                    Some(rest) => rest.to_owned(),
+                    None => what,
+                },
                 remedy: "every whole frame was used; take an intact copy for the rest".to_owned(),
             }),
         }
