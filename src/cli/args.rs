@@ -86,6 +86,8 @@ pub struct LiveArgs {
     #[command(flatten)]
     pub engine: EngineArgs,
     #[command(flatten)]
+    pub map: MapArgs,
+    #[command(flatten)]
     pub stream: StreamArgs,
 }
 
@@ -123,9 +125,19 @@ pub struct EngineArgs {
     /// How far from its sphere a point may lie: 5mm, or 5mm+1.4e-3z2 (growing with depth).
     #[arg(long, value_name = "LENGTH[+Kz2]")]
     pub contact_distance: Option<ContactDistance>,
+    /// How spheres are found. `live` starts from the frame before and keeps to the budget; the
+    /// paper's own two fit every frame from nothing, which takes seconds, whatever the budget.
+    #[arg(long, value_enum, default_value_t = SchemeArg::Live)]
+    pub scheme: SchemeArg,
     /// Distance of neighbouring cell centres.
     #[arg(long, value_name = "LENGTH", value_parser = length)]
     pub cube_size: Option<Length>,
+    /// Most spheres fitted in one cell, with `--scheme progressive` [default: 25].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub spheres_per_cube: Option<u16>,
+    /// Seed of the draws, with `--scheme random`: same seed, same output [default: 0].
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
     /// Lattice of the cells.
     #[arg(long, value_enum)]
     pub packing: Option<PackingArg>,
@@ -138,6 +150,42 @@ pub struct EngineArgs {
     /// Threads; 1 does everything in one, with the same output.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+}
+
+/// How spheres are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SchemeArg {
+    /// Progressive, from moments of 8x8 pixels, warm from the frame before.
+    #[default]
+    Live,
+    /// The paper's: cell by cell, small spheres to large.
+    Progressive,
+    /// The paper's: through randomly drawn points, the best kept.
+    Random,
+}
+
+/// Contact map of the payload.
+#[derive(Clone, Copy, Debug, Default, Args)]
+#[command(next_help_heading = "Model and payload")]
+pub struct MapArgs {
+    /// Grid of the contact map: the sensor's (depth images come back, every measurement), or
+    /// each sphere's own latitude and longitude as in the paper (points come back, those of no
+    /// sphere are lost).
+    #[arg(long, value_enum, default_value_t = DomainArg::Sensor)]
+    pub contact_map: DomainArg,
+    /// Side of a cell of the polar map on the sphere [default: half the contact distance].
+    #[arg(long, value_name = "LENGTH", value_parser = length)]
+    pub map_resolution: Option<Length>,
+}
+
+/// Grid of the contact map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum DomainArg {
+    /// The camera's pixels.
+    #[default]
+    Sensor,
+    /// Latitude and longitude on each sphere.
+    Polar,
 }
 
 /// Lattice of the cells.
@@ -239,6 +287,8 @@ pub struct ReplayArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub engine: EngineArgs,
+    #[command(flatten)]
+    pub map: MapArgs,
     #[command(flatten)]
     pub stream: StreamArgs,
 }

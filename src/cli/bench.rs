@@ -4,8 +4,8 @@
 //! the steady state, frame after frame; a short input is played forth and back, so that motion
 //! stays continuous. Times are of one frame from the first to the last stage, without queues.
 
-use super::args::BenchArgs;
-use super::engine::{Engine, LiveEncode, LiveModel};
+use super::args::{BenchArgs, MapArgs};
+use super::engine::{EncodeStage, Engine, ModelStage};
 use super::failure::{Failure, Kind};
 use super::machine::{self, Machine};
 use super::source::{self, InputOptions};
@@ -99,7 +99,7 @@ struct Results {
 /// Runs the bench and prints its results.
 pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
     let stop = signals::stop_flag()?;
-    let engine = Engine::resolve(&args.engine);
+    let engine = Engine::resolve(&args.engine, &MapArgs::default())?;
     engine.start_workers()?;
     let (camera, mut frames) = load(args)?;
     let cold = cold(&camera, &engine, &frames)?;
@@ -222,8 +222,8 @@ fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold,
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     let step = frames.len().div_ceil(COLD_FRAMES);
     for frame in frames.iter().step_by(step) {
-        let mut model = LiveModel::new(camera, engine);
-        let mut encode = LiveEncode::new(camera, engine)?.unsampled();
+        let mut model = ModelStage::new(camera, engine)?;
+        let mut encode = EncodeStage::new(camera, engine)?.unsampled();
         let start = Monotonic.now_ns();
         let report = model
             .model(frame, &mut saint, &|| false)
@@ -308,8 +308,8 @@ fn warm(
 ) -> Result<Warm, Failure> {
     let mut warm = Warm::new()?;
     let validity = Validity::new(camera);
-    let mut model = LiveModel::new(camera, engine);
-    let mut encode = LiveEncode::new(camera, engine)?.unsampled();
+    let mut model = ModelStage::new(camera, engine)?;
+    let mut encode = EncodeStage::new(camera, engine)?.unsampled();
     let mut decoder = Decoder::new();
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     // the first frame is a cold one: it warms up and is not counted

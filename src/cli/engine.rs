@@ -1,16 +1,20 @@
 //! The live engine behind the pipeline's traits: options from flags, reports from results.
 
-use super::args::{EngineArgs, PackingArg};
+use super::args::{DomainArg, EngineArgs, MapArgs, PackingArg, SchemeArg};
 use super::failure::{Failure, Kind};
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, Tolerance};
+use saint_live::codec::{CodecOptions, Domain, EncodedFrame, Encoder, Tolerance, polar};
 use saint_live::contact_map::labels::SaintFrame;
+use saint_live::contact_map::polar_frame::{PolarMapper, default_step_m};
+use saint_live::fit::cloud::{FitParameters, Scheme};
 use saint_live::fit::contact_distance::ContactDistance;
+use saint_live::fit::framewise::FrameFit;
 use saint_live::fit::live::{FitOptions, FitReport, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
 use saint_live::partition::lattice::Packing;
 use saint_live::pipeline::StageError;
 use saint_live::pipeline::packet::{CodingReport, ModelReport, Residual};
 use saint_live::pipeline::stages::{Encode, Model};
+use saint_live::recording::CONTACT_MAP_NOTE;
 use std::collections::BTreeMap;
 
 mod residual;
@@ -20,53 +24,136 @@ use residual::Sampler;
 /// Key frames come at least so often: a second at the usual rate.
 const KEYFRAME_EVERY: u32 = 30;
 
+/// How spheres are found, with its options.
+#[derive(Clone, Copy, Debug)]
+pub enum Fit {
+    /// Warm from the frame before.
+    Live(FitOptions),
+    /// One of the paper's schemes, frame by frame.
+    Framewise(FitParameters),
+}
+
+impl Fit {
+    /// Options from flags.
+    fn resolve(args: &EngineArgs) -> Result<Self, Failure> {
+        let stray = |flag: &str, scheme: &str| {
+            Err(Failure::usage(format_args!(
+                "{flag} goes with --scheme {scheme} only"
+            )))
+        };
+        if args.spheres_per_cube.is_some() && args.scheme != SchemeArg::Progressive {
+            return stray("--spheres-per-cube", "progressive");
+        }
+        if args.seed.is_some() && args.scheme != SchemeArg::Random {
+            return stray("--seed", "random");
+        }
+        // a bound on the error is a contact distance, too: what lies farther off is not modelled
+        let contact = args
+            .contact_distance
+            .or(args
+                .max_error
+                .map(|most| ContactDistance::for_bound(most.0)))
+            .unwrap_or_default();
+        let packing = match args.packing {
+            Some(PackingArg::Cubic) => Packing::Cubic,
+            Some(PackingArg::Hex) | None => Packing::Hexagonal,
+        };
+        let scheme = match args.scheme {
+            SchemeArg::Live => {
+                let usual = FitOptions::default();
+                return Ok(Self::Live(FitOptions {
+                    contact_distance: contact,
+                    cube_size_m: args.cube_size.map_or(usual.cube_size_m, |size| size.0),
+                    max_spheres: args.max_spheres.map_or(usual.max_spheres, usize::from),
+                    packing,
+                    ..usual
+                }));
+            }
+            SchemeArg::Progressive => Scheme::Progressive,
+            SchemeArg::Random => Scheme::Random,
+        };
+        let usual = FitParameters::default();
+        Ok(Self::Framewise(FitParameters {
+            contact_distance: contact,
+            cube_size_m: args.cube_size.map_or(usual.cube_size_m, |size| size.0),
+            max_spheres: args.max_spheres.map_or(usual.max_spheres, usize::from),
+            spheres_per_cube: args
+                .spheres_per_cube
+                .map_or(usual.spheres_per_cube, usize::from),
+            packing,
+            scheme,
+            seed: args.seed.unwrap_or(usual.seed),
+        }))
+    }
+
+    /// How far a point may lie from its sphere.
+    pub fn contact_distance(&self) -> ContactDistance {
+        match self {
+            Self::Live(options) => options.contact_distance,
+            Self::Framewise(parameters) => parameters.contact_distance,
+        }
+    }
+
+    /// As the command line names it.
+    fn scheme(&self) -> String {
+        match self {
+            Self::Live(_) => "live".to_owned(),
+            Self::Framewise(parameters) => parameters.scheme.to_string(),
+        }
+    }
+}
+
 /// Resolved options of model and payload.
 #[derive(Clone, Debug)]
 pub struct Engine {
     /// Fit.
-    pub fit: FitOptions,
+    pub fit: Fit,
     /// Payload.
     pub codec: CodecOptions,
+    /// Side of the polar map's cells, metres, where the contact map is polar.
+    pub polar_step_m: Option<f64>,
     /// Threads, at least 1.
     pub threads: usize,
 }
 
 impl Engine {
     /// Options from flags.
-    pub fn resolve(args: &EngineArgs) -> Self {
-        let mut fit = FitOptions::default();
-        if let Some(distance) = args.contact_distance {
-            fit.contact_distance = distance;
-        }
-        if let Some(size) = args.cube_size {
-            fit.cube_size_m = size.0;
-        }
-        if let Some(most) = args.max_spheres {
-            fit.max_spheres = usize::from(most);
-        }
-        match args.packing {
-            Some(PackingArg::Hex) => fit.packing = Packing::Hexagonal,
-            Some(PackingArg::Cubic) => fit.packing = Packing::Cubic,
-            None => {}
-        }
-        // a bound on the error is a contact distance, too: what lies farther off is not modelled
-        let bound = args.max_error.map(|most| ContactDistance::constant(most.0));
-        if let (Some(bound), None) = (bound, args.contact_distance) {
-            fit.contact_distance = ContactDistance::for_bound(bound.floor_m);
-        }
+    pub fn resolve(args: &EngineArgs, map: &MapArgs) -> Result<Self, Failure> {
+        let fit = Fit::resolve(args)?;
+        let contact = fit.contact_distance();
+        let polar_step_m = match map.contact_map {
+            DomainArg::Polar if args.lossless || args.max_error.is_some() => {
+                return Err(Failure::usage(
+                    "--contact-map polar gives no bound to every pixel; instead of --max-error or --lossless choose --contact-distance and --map-resolution",
+                ));
+            }
+            DomainArg::Polar => Some(
+                map.map_resolution
+                    .map_or(default_step_m(&contact), |step| step.0),
+            ),
+            DomainArg::Sensor if map.map_resolution.is_some() => {
+                return Err(Failure::usage(
+                    "--map-resolution goes with --contact-map polar only",
+                ));
+            }
+            DomainArg::Sensor => None,
+        };
         let codec = CodecOptions {
             keyframe_every: args.keyframe_every.unwrap_or(KEYFRAME_EVERY),
             tolerance: Tolerance {
-                contact: bound.unwrap_or(fit.contact_distance),
+                contact: args
+                    .max_error
+                    .map_or(contact, |most| ContactDistance::constant(most.0)),
                 lossless: args.lossless,
             },
         };
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        Self {
+        Ok(Self {
             fit,
             codec,
+            polar_step_m,
             threads: args.threads.map_or(cores, usize::from),
-        }
+        })
     }
 
     /// Starts the worker threads of the model stage. Once per process.
@@ -87,35 +174,57 @@ impl Engine {
 
     /// The facts a recording keeps about how it was made.
     pub fn notes(&self, source: &str) -> BTreeMap<String, String> {
-        BTreeMap::from([
+        let mut notes = BTreeMap::from([
             ("source".to_owned(), source.to_owned()),
+            ("scheme".to_owned(), self.fit.scheme()),
             (
                 "contact_distance".to_owned(),
-                self.fit.contact_distance.to_string(),
+                self.fit.contact_distance().to_string(),
             ),
-            (
-                "max_error".to_owned(),
-                if self.codec.tolerance.lossless {
+        ]);
+        let domain = match self.polar_step_m {
+            Some(step_m) => {
+                let step = ContactDistance::constant(step_m).to_string();
+                notes.insert("map_resolution".to_owned(), step);
+                Domain::Polar
+            }
+            None => {
+                let bound = if self.codec.tolerance.lossless {
                     "0".to_owned()
                 } else {
                     self.codec.tolerance.contact.to_string()
-                },
-            ),
-            (
-                "keyframe_every".to_owned(),
-                self.codec.keyframe_every.to_string(),
-            ),
-        ])
+                };
+                notes.insert("max_error".to_owned(), bound);
+                notes.insert(
+                    "keyframe_every".to_owned(),
+                    self.codec.keyframe_every.to_string(),
+                );
+                Domain::Sensor
+            }
+        };
+        notes.insert(CONTACT_MAP_NOTE.to_owned(), domain.name().to_owned());
+        notes
     }
 }
 
 /// The model stage.
-pub struct LiveModel(Modeler);
+pub struct ModelStage(Modelling);
 
-impl LiveModel {
-    /// A modeler for frames of `camera`.
-    pub fn new(camera: &Camera, engine: &Engine) -> Self {
-        Self(Modeler::new(camera, &engine.fit))
+enum Modelling {
+    Live(Modeler),
+    Framewise(FrameFit),
+}
+
+impl ModelStage {
+    /// For frames of `camera`.
+    pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
+        Ok(Self(match &engine.fit {
+            Fit::Live(options) => Modelling::Live(Modeler::new(camera, options)),
+            Fit::Framewise(parameters) => Modelling::Framewise(
+                FrameFit::new(camera, parameters)
+                    .map_err(|error| Failure::new(Kind::Usage, error))?,
+            ),
+        }))
     }
 }
 
@@ -130,31 +239,44 @@ fn model_report(fit: &FitReport) -> ModelReport {
     }
 }
 
-impl Model for LiveModel {
+impl Model for ModelStage {
     fn model(
         &mut self,
         depth: &DepthFrame,
         saint: &mut SaintFrame,
         deadline: &dyn Fn() -> bool,
     ) -> Result<ModelReport, StageError> {
-        Ok(model_report(&self.0.model(depth, saint, deadline)))
+        Ok(model_report(&match &mut self.0 {
+            Modelling::Live(modeler) => modeler.model(depth, saint, deadline),
+            Modelling::Framewise(fit) => fit.model(depth, saint, deadline)?,
+        }))
     }
 }
 
 /// The encode stage.
-pub struct LiveEncode {
-    encoder: Encoder,
+pub struct EncodeStage {
+    coding: Coding,
     /// Looks at errors; not where they are measured otherwise, or are none.
     sampler: Option<Sampler>,
 }
 
-impl LiveEncode {
-    /// An encoder for frames of `camera`.
+enum Coding {
+    Sensor(Encoder),
+    Polar(PolarMapper),
+}
+
+impl EncodeStage {
+    /// For frames of `camera`.
     pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
-        let encoder =
-            Encoder::new(camera, engine.codec).map_err(|error| Failure::new(Kind::Input, error))?;
+        let coding = match engine.polar_step_m {
+            Some(step_m) => Coding::Polar(PolarMapper::new(camera, step_m as f32)),
+            None => Coding::Sensor(
+                Encoder::new(camera, engine.codec)
+                    .map_err(|error| Failure::new(Kind::Input, error))?,
+            ),
+        };
         Ok(Self {
-            encoder,
+            coding,
             sampler: (!engine.codec.tolerance.lossless).then(|| Sampler::new(camera)),
         })
     }
@@ -166,7 +288,7 @@ impl LiveEncode {
     }
 }
 
-impl Encode for LiveEncode {
+impl Encode for EncodeStage {
     fn encode(
         &mut self,
         depth: &DepthFrame,
@@ -174,12 +296,25 @@ impl Encode for LiveEncode {
         modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError> {
-        self.encoder
-            .encode(depth, saint, modelled.degraded, encoded)?;
+        let lost = match &mut self.coding {
+            Coding::Sensor(encoder) => {
+                encoder.encode(depth, saint, modelled.degraded, encoded)?;
+                0
+            }
+            Coding::Polar(mapper) => {
+                let (map, lost) = mapper.map(depth, saint)?;
+                encoded.sequence = depth.sequence;
+                encoded.time = depth.time;
+                encoded.key = true;
+                encoded.payload.clear();
+                polar::encode(&map, &mut encoded.payload)?;
+                lost
+            }
+        };
         let residual = match &mut self.sampler {
             Some(sampler) => sampler.residual(depth, saint),
             None => Residual::default(),
         };
-        Ok(CodingReport { lost: 0, residual })
+        Ok(CodingReport { lost, residual })
     }
 }

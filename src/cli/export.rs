@@ -13,7 +13,8 @@ impl From<ExportError> for Failure {
         let kind = match &error {
             ExportError::Exists { .. }
             | ExportError::UnknownFormat(_)
-            | ExportError::SingleFile { .. } => Kind::Usage,
+            | ExportError::SingleFile { .. }
+            | ExportError::NoGrid { .. } => Kind::Usage,
             ExportError::Write { .. } => Kind::Output,
             ExportError::Empty { .. } => Kind::Input,
             ExportError::Encode { .. } | ExportError::FrameSize { .. } => Kind::Failure,
@@ -57,6 +58,10 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         )));
     }
     tape.seek(from)?;
+    if tape.is_polar() {
+        // told before a folder is made
+        format.check_cloud(from)?;
+    }
     let mut files = FileSequence::create(format, output, args.overwrite)?;
     let bar = (!quiet).then(|| status::progress(to.saturating_sub(from)));
     while let Some(number) = tape.advance() {
@@ -64,7 +69,10 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
             break;
         }
         if number >= from {
-            files.frame(&tape.frame(), number)?;
+            match tape.cloud() {
+                Some(cloud) => files.cloud(&cloud, number)?,
+                None => files.frame(&tape.frame(), number)?,
+            }
             if let Some(bar) = &bar {
                 bar.inc(1);
             }

@@ -52,6 +52,7 @@ pub fn run(args: &InfoArgs) -> Result<(), Failure> {
                 bits / 8.0
             );
         }
+        let _ = writeln!(text, "contacts  {} map", info.contact_map);
         for channel in &info.channels {
             let _ = writeln!(
                 text,

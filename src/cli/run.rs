@@ -1,7 +1,7 @@
 //! Live capture and replay: the same pipeline behind two kinds of source.
 
-use super::args::{EngineArgs, LateArg, LiveArgs, ReplayArgs, StreamArgs};
-use super::engine::{Engine, LiveEncode, LiveModel};
+use super::args::{LateArg, LiveArgs, ReplayArgs, StreamArgs};
+use super::engine::{EncodeStage, Engine, ModelStage};
 use super::failure::{Failure, Kind};
 use super::sink::{self, Output};
 use super::source::{self, InputOptions};
@@ -20,7 +20,8 @@ use std::path::Path;
 /// `saint-live --device ...`
 pub fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
     let device = args.device.clone().unwrap_or_default();
-    let run = Run::new(&args.engine, &args.stream, device, quiet)?;
+    let engine = Engine::resolve(&args.engine, &args.map)?;
+    let run = Run::new(engine, &args.stream, device, quiet)?;
     let mut source = source::live(args)?;
     let color = source::color(args)?;
     let pace = if source.is_live() {
@@ -41,7 +42,8 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
             "{name} is input and output at once; give -o another name"
         )));
     }
-    let run = Run::new(&args.engine, &args.stream, name, quiet)?;
+    let engine = Engine::resolve(&args.engine, &args.map)?;
+    let run = Run::new(engine, &args.stream, name, quiet)?;
     let options = InputOptions {
         camera: args.camera.clone(),
         range: args.range,
@@ -77,7 +79,7 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     fn new(
-        engine: &EngineArgs,
+        engine: Engine,
         stream: &'a StreamArgs,
         source: String,
         quiet: bool,
@@ -88,7 +90,7 @@ impl<'a> Run<'a> {
             ));
         }
         Ok(Self {
-            engine: Engine::resolve(engine),
+            engine,
             stream,
             source,
             quiet,
@@ -126,8 +128,8 @@ impl<'a> Run<'a> {
             source::introduce(&camera);
         }
         self.engine.start_workers()?;
-        let mut model = LiveModel::new(&camera, &self.engine);
-        let mut encode = LiveEncode::new(&camera, &self.engine)?;
+        let mut model = ModelStage::new(&camera, &self.engine)?;
+        let mut encode = EncodeStage::new(&camera, &self.engine)?;
         let mut output = Output::open(self.stream, &camera, self.engine.notes(&self.source))?;
         let trace = self.trace()?;
         let options = Options {

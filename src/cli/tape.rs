@@ -1,8 +1,9 @@
 //! A recording of ours, decoded frame by frame: what replay, play and export read.
 
 use super::failure::{Failure, Kind};
-use saint_live::codec::{CodecError, Decoder, EncodedFrame};
-use saint_live::export::ExportFrame;
+use saint_live::codec::{CodecError, Domain, EncodedFrame, Payload, PayloadDecoder};
+use saint_live::contact_map::merged::ClaimMap;
+use saint_live::export::{ExportCloud, ExportFrame};
 use saint_live::fit::sphere::Sphere;
 use saint_live::frame::{Camera, ColorFrame};
 use saint_live::play::Frames;
@@ -16,11 +17,13 @@ pub struct Tape {
     pub camera: Camera,
     path: PathBuf,
     reader: RecordingReader,
-    decoder: Decoder,
+    decoder: PayloadDecoder,
     encoded: EncodedFrame,
     depth_m: Vec<f32>,
     labels: Vec<u16>,
     spheres: Vec<Option<Sphere>>,
+    /// The polar map of the frame last decoded, where it has one.
+    polar: Option<ClaimMap>,
     fault: Option<String>,
 }
 
@@ -32,11 +35,12 @@ impl Tape {
             camera: reader.camera().clone(),
             path: path.to_owned(),
             reader,
-            decoder: Decoder::new(),
+            decoder: PayloadDecoder::new(),
             encoded: EncodedFrame::default(),
             depth_m: Vec::new(),
             labels: Vec::new(),
             spheres: Vec::new(),
+            polar: None,
             fault: None,
         })
     }
@@ -44,6 +48,11 @@ impl Tape {
     /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// True where the recording says that its contact maps are polar.
+    pub fn is_polar(&self) -> bool {
+        self.reader.info().contact_map == Domain::Polar.name()
     }
 
     /// Number of frames.
@@ -75,7 +84,23 @@ impl Tape {
                 }
             }
             match self.decoder.decode(&self.encoded.payload) {
-                Ok(decoded) => {
+                Ok(Payload::Polar(map)) => {
+                    let cloud = ExportCloud {
+                        sequence: self.encoded.sequence,
+                        time: self.encoded.time,
+                        map,
+                    };
+                    cloud.project(
+                        &self.camera,
+                        &mut self.depth_m,
+                        &mut self.labels,
+                        &mut self.spheres,
+                    );
+                    self.polar = Some(map.clone());
+                    return Some(self.reader.position().saturating_sub(1));
+                }
+                Ok(Payload::Sensor(decoded)) => {
+                    self.polar = None;
                     self.depth_m.clone_from(&decoded.depth_m);
                     self.labels.clone_from(&decoded.labels);
                     self.spheres.clone_from(&decoded.spheres);
@@ -98,7 +123,17 @@ impl Tape {
         self.fault.get_or_insert_with(|| what.to_string());
     }
 
-    /// The frame last decoded.
+    /// The frame last decoded, where its contact map is polar: points without a grid.
+    pub fn cloud(&self) -> Option<ExportCloud<'_>> {
+        self.polar.as_ref().map(|map| ExportCloud {
+            sequence: self.encoded.sequence,
+            time: self.encoded.time,
+            map,
+        })
+    }
+
+    /// The frame last decoded. Where its contact map is polar this is a drawing of its points,
+    /// for the eye only.
     pub fn frame(&self) -> ExportFrame<'_> {
         ExportFrame {
             camera: &self.camera,

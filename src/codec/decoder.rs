@@ -3,7 +3,7 @@
 use super::header::{Header, Stream};
 use super::range_coder::Decoder as RangeDecoder;
 use super::sphere_table::{self, Support};
-use super::state::{MAX_SPHERES, State, fallback};
+use super::state::{BEYOND, MAX_SPHERES, State, fallback};
 use super::{CodecError, label_map, mask, residual};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
@@ -123,16 +123,16 @@ impl Decoder {
         if !key {
             state.follow(&header.motion);
         }
-        read_sections(state, rays, key, sections)?;
-        state.predict(rays);
-        rebuild(
-            state,
-            rays,
-            key,
-            sections[3],
-            stream.tolerance.lossless,
-            reach,
-        )?;
+        let read = read_sections(state, rays, key, sections).and_then(|()| {
+            state.predict(rays);
+            let lossless = stream.tolerance.lossless;
+            rebuild(state, rays, key, sections[3], lossless, reach)
+        });
+        if let Err(error) = read {
+            // planes left half filled would be read by the next frame, even by a key frame
+            *state = State::default();
+            return Err(error);
+        }
         write_frame(&mut self.frame, state, rays, stream, reach);
         self.frame.sequence = header.sequence;
         self.frame.time = header.time;
@@ -343,9 +343,10 @@ fn write_frame(
             }
         } else {
             for x in 0..width {
-                let rounded = !(smooth[x] > 0.0 && smooth[x] < 1e9);
+                let rounded = !(smooth[x] > 0.0 && smooth[x] < BEYOND);
                 let z = if rounded {
-                    f32::from(whole[x]) * single
+                    // 0 would mean that nothing was measured
+                    f32::from(whole[x].max(1)) * single
                 } else {
                     smooth[x] * single
                 };

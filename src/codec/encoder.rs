@@ -82,10 +82,17 @@ impl Encoder {
     /// # Errors
     /// [`CodecError::Limit`] where the camera is beyond the format's limits.
     pub fn new(camera: &Camera, options: CodecOptions) -> Result<Self, CodecError> {
+        Stream::new(camera, options.tolerance).check()?;
+        let rays = Rays::new(camera);
+        // integers a unit apart keep no bound below half a unit along the most slanted ray
+        let far = |side: &[f32]| side.iter().fold(0f32, |most, s| most.max(s.abs()));
+        let slant = far(&rays.u).hypot(far(&rays.v)).hypot(1.0);
+        let mut options = options;
+        options.tolerance.lossless |=
+            2.0 * options.tolerance.contact.floor_m < camera.depth_unit_m * f64::from(slant);
         let stream = Stream::new(camera, options.tolerance);
-        stream.check()?;
         Ok(Self {
-            rays: Rays::new(camera),
+            rays,
             validity: Validity::new(camera),
             reach: Reach::new(&options.tolerance.contact, camera.depth_unit_m),
             stream,

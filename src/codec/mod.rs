@@ -14,6 +14,7 @@ pub mod grid;
 pub mod header;
 pub mod label_map;
 pub mod mask;
+pub mod payload;
 pub mod range_coder;
 pub mod residual;
 pub mod sphere_table;
@@ -22,6 +23,7 @@ mod state;
 pub use decoder::{DecodedFrame, Decoder};
 pub use encoder::{CodecOptions, EncodeReport, Encoder};
 pub use header::Tolerance;
+pub use payload::{Domain, Payload, PayloadDecoder};
 
 /// One encoded frame, as it is stored or sent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -89,6 +91,9 @@ pub enum CodecError {
         /// The frame it needs.
         reference: u64,
     },
+    /// A polar payload that cannot be read.
+    #[error(transparent)]
+    Polar(#[from] polar::PolarCodecError),
     /// The frame is not of the camera the encoder was made for.
     #[error("frame has {found} pixels, the camera {expected}")]
     Size {

@@ -5,7 +5,8 @@ use crate::contact_map::merged::ClaimMap;
 use crate::contact_map::polar::{MAX_STEPS, Patch, PatchCell};
 use glam::{DVec3, Vec3};
 
-const MAGIC: [u8; 4] = *b"SPOL";
+/// First four bytes of a polar payload.
+pub const MAGIC: [u8; 4] = *b"SPOL";
 const VERSION: u8 = 1;
 /// Bytes of one sphere.
 const SPHERE_BYTES: usize = 28;
@@ -13,7 +14,7 @@ const SPHERE_BYTES: usize = 28;
 const CHECK_BYTES: usize = 4;
 
 /// Bytes that are no polar payload, or a map that has no payload.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PolarCodecError {
     /// The payload ends too early.
     #[error("the polar payload ends at byte {length} within {what}; it was cut, fetch it again")]

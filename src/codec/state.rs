@@ -14,6 +14,10 @@ use crate::fit::sphere::Sphere;
 /// Most spheres a frame may hold.
 pub(super) const MAX_SPHERES: usize = NO_SPHERE as usize;
 
+/// The first predicted depth, in depth integers, that no sensor integer is near. Such a pixel is
+/// rebuilt from the largest integer, not from its sphere.
+pub(super) const BEYOND: f32 = 65536.0;
+
 /// Learnt models of all sections; reset at key frames.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Models {
@@ -245,7 +249,9 @@ fn test_all(
             let mut on = [0u8; BLOCK];
             for i in 0..BLOCK {
                 let q = u[i] * u[i] + v * v + 1.0;
-                let sphere = all_spheres | (labels[i] != NO_SPHERE);
+                // the decoder rebuilds other depths from integers
+                let real = (p[i] > 0.0) & (p[i] < BEYOND);
+                let sphere = (all_spheres | (labels[i] != NO_SPHERE)) & real;
                 on[i] =
                     u8::from(reach.touches(f32::from(raw[i]), p[i], q) & (raw[i] != 0) & sphere);
             }

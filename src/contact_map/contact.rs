@@ -4,6 +4,11 @@ use crate::deproject::{BLOCK, Rays};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::sphere::Sphere;
 
+/// Relative error of a depth rebuilt in single precision, a few roundings.
+const ROUNDING: f32 = 4e-7;
+/// Share of the floor that a residual step uses; the rest is room for the same rounding.
+const SAFE: f32 = 0.999;
+
 /// A contact distance in the sensor's own integers: `max(floor, growth·raw²)` along the ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
@@ -27,8 +32,9 @@ impl Reach {
     #[must_use]
     pub fn touches(&self, raw: f32, predicted: f32, q: f32) -> bool {
         let error = raw - predicted;
-        let reach = self.at(raw);
-        error * error * q <= reach * reach
+        // rounding of the rebuilt depth to single precision must not break the bound
+        let reach = self.at(raw) - ROUNDING * raw;
+        (error * error * q <= reach * reach) & (reach > 0.0)
     }
 
     /// Step of the residual on a ray of squared length `q`, depth integers: a residual of whole
@@ -36,7 +42,7 @@ impl Reach {
     #[inline(always)]
     #[must_use]
     pub fn step(&self, q: f32) -> i32 {
-        ((2.0 * self.floor / q.sqrt()) as i32).max(1)
+        ((2.0 * SAFE * self.floor / q.sqrt()) as i32).max(1)
     }
 
     /// The largest distance along the ray, in depth integers, at which `raw` still touches.

@@ -5,3 +5,4 @@ pub mod contact;
 pub mod labels;
 pub mod merged;
 pub mod polar;
+pub mod polar_frame;

@@ -8,8 +8,10 @@
 //! | [`png`] | a picture: each sphere its colour | – |
 //! | [`png16`] | planar depth as integers, `camera.json` beside | the sensor's unit, 0 = none |
 //!
+//! A frame with a polar contact map ([`ExportCloud`]) has points and spheres, no depth image.
 //! EXR and 16-bit PNG are inputs again. [`FileSequence`] writes one file a frame, or one file.
 
+mod cloud;
 pub mod color;
 pub mod exr;
 pub mod pcd;
@@ -20,6 +22,7 @@ mod sequence;
 #[cfg(test)]
 mod tests;
 
+pub use cloud::ExportCloud;
 pub use sequence::{ExportSummary, FileSequence, Format, Output};
 
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
@@ -119,6 +122,16 @@ pub enum ExportError {
     /// The name of a format is not known: usage, exit 2.
     #[error("cannot export to {0:?}; choose one of ply, spheres, pcd, exr, png, png16")]
     UnknownFormat(String),
+    /// The format is an image and the frame has no grid: usage, exit 2.
+    #[error(
+        "frame {sequence} has a polar contact map: its points have no grid, so {format} cannot hold them; export to ply, pcd or spheres, or record with a sensor contact map"
+    )]
+    NoGrid {
+        /// The source's frame number.
+        sequence: u64,
+        /// Name of the format.
+        format: &'static str,
+    },
     /// A second frame came for an output that is one file: usage, exit 2.
     #[error("{} is one file and a second frame came; choose one frame or give a folder", .path.display())]
     SingleFile {

@@ -1,7 +1,7 @@
 //! Points as PCD 0.7, binary, unorganised: `x y z` (F4), `rgb` (U4, 0x00RRGGBB as PCL packs it),
 //! `sphere` (I4, −1 where no sphere explains the point).
 
-use super::{ExportFrame, Point, color};
+use super::{ExportCloud, ExportFrame, Point, color};
 use pcd_rs::{DataKind, PcdSerialize, Schema, ValueKind, WriterInit};
 use std::io::{Cursor, Seek, Write};
 
@@ -63,8 +63,20 @@ impl PcdSerialize for Record {
 /// # Errors
 /// What the encoder says.
 pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) -> Result<(), String> {
+    write(frame.points(), file)
+}
+
+/// As [`points`], of a polar frame.
+///
+/// # Errors
+/// What the encoder says.
+pub fn cloud_points(cloud: &ExportCloud<'_>, file: &mut Vec<u8>) -> Result<(), String> {
+    write(cloud.points(), file)
+}
+
+fn write(points: impl Iterator<Item = Point>, file: &mut Vec<u8>) -> Result<(), String> {
     file.clear();
-    let records: Vec<_> = frame.points().map(|point| Record::of(&point)).collect();
+    let records: Vec<_> = points.map(|point| Record::of(&point)).collect();
     let header = WriterInit {
         width: records.len() as u64,
         height: 1,

@@ -3,8 +3,10 @@
 //! Written by hand: the `ply-rs-bw` crate keeps each point as a hash map of named properties,
 //! which is far from the 50 ms a VGA frame may take. Our tests read the files with that crate.
 
-use super::{ExportFrame, color};
+use super::{ExportCloud, ExportFrame, Point, color};
 use crate::fit::sphere::Sphere;
+use crate::frame::FrameTime;
+use glam::DVec3;
 
 /// Bytes of one point.
 const POINT: usize = 19;
@@ -16,7 +18,19 @@ const COUNT_DIGITS: usize = 10;
 pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
     file.clear();
     file.reserve(512 + frame.depth_m.len() * POINT);
-    begin(file, frame);
+    begin(file, frame.sequence, frame.time);
+    write_points(frame.points(), file);
+}
+
+/// As [`points`], of a polar frame.
+pub fn cloud_points(cloud: &ExportCloud<'_>, file: &mut Vec<u8>) {
+    file.clear();
+    file.reserve(512 + cloud.map.cells.len() * POINT);
+    begin(file, cloud.sequence, cloud.time);
+    write_points(cloud.points(), file);
+}
+
+fn write_points(points: impl Iterator<Item = Point>, file: &mut Vec<u8>) {
     file.extend_from_slice(b"element vertex ");
     let count_at = file.len();
     // filled in below; PLY numbers may have leading zeros
@@ -27,7 +41,7 @@ pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
           property int sphere\nend_header\n",
     );
     let mut count = 0u64;
-    for point in frame.points() {
+    for point in points {
         let mut record = [0; POINT];
         for (bytes, value) in record[..12]
             .chunks_exact_mut(4)
@@ -48,18 +62,30 @@ pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
 /// `uchar red green blue`, `int sphere`. A plane has a very large radius.
 pub fn spheres(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
     file.clear();
-    begin(file, frame);
-    let present =
-        |(slot, sphere): (usize, &Option<Sphere>)| Some((u16::try_from(slot).ok()?, (*sphere)?));
-    let count = frame.spheres.iter().enumerate().filter_map(present).count();
+    begin(file, frame.sequence, frame.time);
+    let present = |(slot, sphere): (usize, &Option<Sphere>)| {
+        let (center, radius) = (*sphere)?.center_radius();
+        Some((u16::try_from(slot).ok()?, center, radius))
+    };
+    write_spheres(frame.spheres.iter().enumerate().filter_map(present), file);
+}
+
+/// As [`spheres`], of a polar frame.
+pub fn cloud_spheres(cloud: &ExportCloud<'_>, file: &mut Vec<u8>) {
+    file.clear();
+    begin(file, cloud.sequence, cloud.time);
+    write_spheres(cloud.spheres(), file);
+}
+
+fn write_spheres(spheres: impl Iterator<Item = (u16, DVec3, f64)> + Clone, file: &mut Vec<u8>) {
+    let count = spheres.clone().count();
     let header = format!(
         "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\n\
          property float radius\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
          property int sphere\nend_header\n"
     );
     file.extend_from_slice(header.as_bytes());
-    for (slot, sphere) in frame.spheres.iter().enumerate().filter_map(present) {
-        let (center, radius) = sphere.center_radius();
+    for (slot, center, radius) in spheres {
         for value in [center.x, center.y, center.z, radius] {
             file.extend_from_slice(&(value as f32).to_le_bytes());
         }
@@ -68,12 +94,12 @@ pub fn spheres(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
     }
 }
 
-fn begin(file: &mut Vec<u8>, frame: &ExportFrame<'_>) {
+fn begin(file: &mut Vec<u8>, sequence: u64, time: FrameTime) {
     let text = format!(
         "ply\nformat binary_little_endian 1.0\n\
          comment metres, optical frame: x right, y down, z forward\n\
-         comment frame {} device_ns {} wall_ns {}\n",
-        frame.sequence, frame.time.device_ns, frame.time.wall_ns
+         comment frame {sequence} device_ns {} wall_ns {}\n",
+        time.device_ns, time.wall_ns
     );
     file.extend_from_slice(text.as_bytes());
 }

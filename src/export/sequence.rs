@@ -1,6 +1,6 @@
 //! Where exported frames go: one file each into a folder, or one file.
 
-use super::{ExportError, ExportFrame, exr, pcd, ply, png, png16};
+use super::{ExportCloud, ExportError, ExportFrame, exr, pcd, ply, png, png16};
 use crate::capture::CaptureError;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -34,6 +34,21 @@ impl Format {
         ("png", Self::Png),
         ("png16", Self::Png16),
     ];
+
+    /// Whether a frame of points without a grid can be written.
+    ///
+    /// # Errors
+    /// [`ExportError::NoGrid`] for formats that are images.
+    pub fn check_cloud(self, sequence: u64) -> Result<(), ExportError> {
+        let name = Self::NAMES.iter().find(|(_, format)| *format == self);
+        match self {
+            Self::Ply | Self::Spheres | Self::Pcd => Ok(()),
+            Self::Exr | Self::Png | Self::Png16 => Err(ExportError::NoGrid {
+                sequence,
+                format: name.map_or("an image", |(name, _)| name),
+            }),
+        }
+    }
 
     /// Ending of its files.
     #[must_use]
@@ -146,6 +161,37 @@ impl FileSequence {
     /// went wrong on writing; a file that was begun is removed.
     pub fn frame(&mut self, frame: &ExportFrame<'_>, number: u64) -> Result<(), ExportError> {
         frame.check()?;
+        let path = self.place(number)?;
+        let size = self.write(frame, &path)?;
+        self.files += 1;
+        self.bytes += size;
+        Ok(())
+    }
+
+    /// Writes one frame of points without a grid, as [`FileSequence::frame`] does.
+    ///
+    /// # Errors
+    /// [`ExportError::NoGrid`] for formats that are images, and as [`FileSequence::frame`].
+    pub fn cloud(&mut self, cloud: &ExportCloud<'_>, number: u64) -> Result<(), ExportError> {
+        self.format.check_cloud(cloud.sequence)?;
+        let path = self.place(number)?;
+        let buffer = &mut self.buffer;
+        match self.format {
+            Format::Spheres => ply::cloud_spheres(cloud, buffer),
+            Format::Pcd => {
+                pcd::cloud_points(cloud, buffer).map_err(|what| self.encode_error(&path, what))?
+            }
+            _ => ply::cloud_points(cloud, buffer),
+        }
+        put(&path, &self.buffer, self.overwrite)
+            .map_err(|source| write_error(&path, self.files, source))?;
+        self.files += 1;
+        self.bytes += self.buffer.len() as u64;
+        Ok(())
+    }
+
+    /// Path of the next file.
+    fn place(&self, number: u64) -> Result<PathBuf, ExportError> {
         let path = match &self.output {
             Output::File(path) if self.files > 0 => {
                 return Err(ExportError::SingleFile { path: path.clone() });
@@ -158,10 +204,7 @@ impl FileSequence {
         if !self.overwrite && path.exists() {
             return Err(exists(&path, false));
         }
-        let size = self.write(frame, &path)?;
-        self.files += 1;
-        self.bytes += size;
-        Ok(())
+        Ok(path)
     }
 
     /// Ends the export.

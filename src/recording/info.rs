@@ -68,6 +68,8 @@ pub struct Info {
     /// What is known to be damaged; all of it after a scan or
     /// [`verify`](super::RecordingReader::verify). For a cut file the last entry is the cut.
     pub damaged: Vec<Damage>,
+    /// Domain of the contact maps: `sensor` or `polar`.
+    pub contact_map: String,
     /// Channels, by topic.
     pub channels: Vec<ChannelInfo>,
     /// The camera.

@@ -67,6 +67,9 @@ pub const CAMERA_TOPIC: &str = "camera";
 pub const STATISTICS_TOPIC: &str = "statistics";
 /// Topic of the colour images.
 pub const COLOR_TOPIC: &str = "color";
+/// Note that names the domain of the contact maps (`sensor` or `polar`); a recording without it
+/// has sensor maps. The payloads say the same by their first bytes ([`crate::codec::Domain`]).
+pub const CONTACT_MAP_NOTE: &str = "contact_map";
 /// Message encoding of [`SAINT_TOPIC`].
 pub const SAINT_ENCODING: &str = "saint-live/1";
 /// Largest message that is written or read, bytes.

@@ -4,8 +4,8 @@ use super::container::Source;
 use super::index::{Fault, Index, Loaded};
 use super::info::{ChannelInfo, Damage, Info};
 use super::tally::Traffic;
-use super::{RecordingError, SAINT_TOPIC, color, message};
-use crate::codec::EncodedFrame;
+use super::{CONTACT_MAP_NOTE, RecordingError, SAINT_TOPIC, color, message};
+use crate::codec::{Domain, EncodedFrame};
 use crate::frame::{Camera, ColorFrame, FrameTime};
 use std::path::Path;
 
@@ -231,6 +231,9 @@ impl RecordingReader {
             cut: self.index.cut.is_some(),
             index_rebuilt: self.index.rebuilt,
             damaged: faults.into_iter().map(damage).collect(),
+            contact_map: notes
+                .get(CONTACT_MAP_NOTE)
+                .map_or_else(|| Domain::Sensor.name().to_owned(), Clone::clone),
             channels: channels
                 .into_iter()
                 .map(|channel| ChannelInfo {

@@ -89,6 +89,16 @@ impl FrameSource for RecordedSource {
                 continue;
             }
             self.colors.extend(colors);
+            if self.tape.cloud().is_some() {
+                return Err(CaptureError::Input {
+                    path: self.tape.path().to_owned(),
+                    frame: Some(number),
+                    what: "has a polar contact map: points, no depth image".to_owned(),
+                    remedy:
+                        "replay a recording with a sensor contact map, or export this one to ply"
+                            .to_owned(),
+                });
+            }
             let decoded = self.tape.frame();
             frame.sequence = decoded.sequence;
             frame.time = decoded.time;

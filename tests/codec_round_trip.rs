@@ -1,0 +1,167 @@
+//! Frames through fit, encoder and decoder: the mask exactly, depth within its bound.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+mod frames;
+
+use frames::{Chance, PICTURES, Picture, camera, check, draw, options};
+use glam::Vec3;
+use saint_live::codec::{CodecError, Decoder, EncodedFrame, Encoder};
+use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
+use saint_live::fit::contact_distance::ContactDistance;
+use saint_live::fit::live::{FitOptions, Modeler};
+use saint_live::fit::sphere::Sphere;
+
+/// Bounds tried: the default, tight, below half a unit, and so wide that anything touches.
+fn contacts() -> [ContactDistance; 4] {
+    [
+        ContactDistance::default(),
+        ContactDistance::constant(0.005),
+        ContactDistance::constant(0.0003),
+        ContactDistance::constant(2.0),
+    ]
+}
+
+/// Five frames: a key frame and four that refer to each other.
+fn chain(size: (u32, u32), picture: Picture, contact: ContactDistance, lossless: bool, seed: u64) {
+    let camera = camera(size.0, size.1);
+    let fit = FitOptions {
+        contact_distance: contact,
+        ..FitOptions::default()
+    };
+    let with = options(contact, lossless, 30);
+    let mut modeler = Modeler::new(&camera, &fit);
+    let mut encoder = Encoder::new(&camera, with).unwrap();
+    let mut decoder = Decoder::new();
+    let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
+    for number in 0..5 {
+        let frame = draw(&camera, picture, number, seed);
+        let report = modeler.model(&frame, &mut saint, &|| false);
+        let coded = encoder
+            .encode(&frame, &saint, report.degraded, &mut encoded)
+            .unwrap();
+        let what = format!("{picture:?} {size:?} {contact} lossless {lossless} frame {number}");
+        assert_eq!(coded.valid_pixels, report.valid_pixels, "{what}");
+        assert_eq!(encoded.key, number == 0, "{what}");
+        let decoded = decoder
+            .decode(&encoded.payload)
+            .unwrap_or_else(|error| panic!("{what}: {error}"));
+        check(&what, &camera, &frame, decoded, &with.tolerance);
+    }
+}
+
+#[test]
+fn hard_pictures_of_odd_sizes_keep_mask_and_bound() {
+    for size in [(2, 2), (17, 9), (8, 8), (9, 64), (40, 2)] {
+        for picture in PICTURES {
+            for contact in contacts() {
+                for lossless in [false, true] {
+                    chain(size, picture, contact, lossless, 1);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_large_odd_size_keeps_mask_and_bound() {
+    chain(
+        (641, 481),
+        Picture::BallsAndHoles,
+        ContactDistance::default(),
+        false,
+        2,
+    );
+}
+
+#[test]
+fn random_small_frames_keep_mask_and_bound() {
+    let mut chance = Chance(99);
+    for seed in 0..150 {
+        let size = (2 + chance.below(40) as u32, 2 + chance.below(30) as u32);
+        let picture = PICTURES[chance.below(8) as usize];
+        let contact = contacts()[chance.below(4) as usize];
+        chain(size, picture, contact, chance.below(4) == 0, seed);
+    }
+}
+
+/// The bound does not rest on the fit: any labels and any spheres give the frame back.
+#[test]
+fn labels_that_make_no_sense_keep_mask_and_bound() {
+    let mut chance = Chance(7);
+    for round in 0..60 {
+        let camera = camera(2 + chance.below(30) as u32, 2 + chance.below(30) as u32);
+        let contact = contacts()[chance.below(4) as usize];
+        let with = options(contact, chance.below(2) == 0, 30);
+        let mut encoder = Encoder::new(&camera, with).unwrap();
+        let mut decoder = Decoder::new();
+        let mut encoded = EncodedFrame::default();
+        for number in 0..4 {
+            let picture = PICTURES[chance.below(8) as usize];
+            let frame = draw(&camera, picture, number, round);
+            let mut float = |scale: f32| {
+                let part = chance.below(2001) as f32 / 1000.0 - 1.0;
+                part * scale
+            };
+            let spheres = (0..12)
+                .map(|n| {
+                    let sphere = Sphere {
+                        a: float([1e-6, 0.3, 1e3, 1e30][n % 4]),
+                        m: Vec3::new(float(1.0), float(1.0), float([1.0, 1e-3, 1e6][n % 3])),
+                        far: n % 5 == 0,
+                    };
+                    (n != 3).then_some(sphere)
+                })
+                .collect();
+            let labels = (0..camera.pixels())
+                .map(|_| match chance.below(16) {
+                    15 => INVALID,
+                    14 => NO_SPHERE,
+                    label => label as u16,
+                })
+                .collect();
+            let saint = SaintFrame {
+                spheres,
+                labels,
+                ..SaintFrame::default()
+            };
+            encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
+            let what = format!("round {round} frame {number} {picture:?} {contact}");
+            let decoded = decoder
+                .decode(&encoded.payload)
+                .unwrap_or_else(|error| panic!("{what}: {error}"));
+            check(&what, &camera, &frame, decoded, &with.tolerance);
+        }
+    }
+}
+
+#[test]
+fn what_is_no_frame_of_the_camera_is_refused() {
+    let with = options(ContactDistance::default(), false, 30);
+    for (width, height) in [(1, 9), (9, 1), (0, 0), (8193, 2), (8192, 8192)] {
+        let refused = Encoder::new(&camera(width, height), with);
+        assert!(
+            matches!(refused, Err(CodecError::Limit(_))),
+            "{width}x{height}"
+        );
+    }
+    let camera = camera(8, 8);
+    let mut encoder = Encoder::new(&camera, with).unwrap();
+    let frame = draw(&camera, Picture::Noise, 0, 0);
+    let saint = SaintFrame {
+        labels: vec![NO_SPHERE; 63],
+        ..SaintFrame::default()
+    };
+    let refused = encoder.encode(&frame, &saint, false, &mut EncodedFrame::default());
+    assert_eq!(
+        refused,
+        Err(CodecError::Size {
+            found: 63,
+            expected: 64
+        })
+    );
+}
