@@ -83,7 +83,7 @@ fn round_trip(recording: &str, flags: &[&str], bound_m: fn(f64) -> f64) {
 #[test]
 fn every_pixel_is_within_the_contact_distance_unless_told_otherwise() {
     for recording in ["static_room", "moving_camera", "moving_object"] {
-        round_trip(recording, &[], |z| 5e-3 + 1.4e-3 * z * z);
+        round_trip(recording, &[], |z| f64::max(12e-3, 4e-3 * z * z));
     }
 }
 

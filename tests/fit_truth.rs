@@ -13,10 +13,11 @@ use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, FitReport, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
 
-/// Three standard deviations of Kinect noise, and its step: what lies farther off is no noise.
+/// Three standard deviations of Kinect noise, and its step, within the share of the contact
+/// distance that surfaces are fitted to (0.7): what lies farther off is no noise.
 const WIDE: ContactDistance = ContactDistance {
-    floor_m: 0.008,
-    per_z2: 4.5e-3,
+    floor_m: 0.0115,
+    per_z2: 6.5e-3,
 };
 
 fn source(scene: Scene, noise: NoiseModel) -> SyntheticSource {

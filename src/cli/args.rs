@@ -122,7 +122,8 @@ pub struct EngineArgs {
     /// Give every depth integer back exactly.
     #[arg(long)]
     pub lossless: bool,
-    /// How far from its sphere a point may lie: 5mm, or 5mm+1.4e-3z2 (growing with depth).
+    /// How far from its sphere a point may lie: 5mm, or 12mm+4e-3z2 (the default: the larger of
+    /// 12 mm and 0.004 times the squared depth).
     #[arg(long, value_name = "LENGTH[+Kz2]")]
     pub contact_distance: Option<ContactDistance>,
     /// How spheres are found. `live` starts from the frame before and keeps to the budget; the
