@@ -211,17 +211,18 @@ impl Engine {
 pub struct ModelStage(Modelling);
 
 enum Modelling {
-    Live(Modeler),
-    Framewise(FrameFit),
+    Live(Box<Modeler>),
+    Framewise(Box<FrameFit>),
 }
 
 impl ModelStage {
     /// For frames of `camera`.
     pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
         Ok(Self(match &engine.fit {
-            Fit::Live(options) => Modelling::Live(Modeler::new(camera, options)),
+            Fit::Live(options) => Modelling::Live(Box::new(Modeler::new(camera, options))),
             Fit::Framewise(parameters) => Modelling::Framewise(
                 FrameFit::new(camera, parameters)
+                    .map(Box::new)
                     .map_err(|error| Failure::new(Kind::Usage, error))?,
             ),
         }))
@@ -261,17 +262,18 @@ pub struct EncodeStage {
 }
 
 enum Coding {
-    Sensor(Encoder),
-    Polar(PolarMapper),
+    Sensor(Box<Encoder>),
+    Polar(Box<PolarMapper>),
 }
 
 impl EncodeStage {
     /// For frames of `camera`.
     pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
         let coding = match engine.polar_step_m {
-            Some(step_m) => Coding::Polar(PolarMapper::new(camera, step_m as f32)),
+            Some(step_m) => Coding::Polar(Box::new(PolarMapper::new(camera, step_m as f32))),
             None => Coding::Sensor(
                 Encoder::new(camera, engine.codec)
+                    .map(Box::new)
                     .map_err(|error| Failure::new(Kind::Input, error))?,
             ),
         };

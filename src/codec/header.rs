@@ -140,10 +140,10 @@ impl Header {
         out.push(VERSION);
         let lossless = self.stream.as_ref().is_some_and(|s| s.tolerance.lossless);
         out.push(
-            u8::from(self.stream.is_some()) * KEY
-                | u8::from(lossless) * LOSSLESS
-                | u8::from(self.degraded) * DEGRADED
-                | u8::from(self.is_moved()) * MOVED,
+            (u8::from(self.stream.is_some()) * KEY)
+                | (u8::from(lossless) * LOSSLESS)
+                | (u8::from(self.degraded) * DEGRADED)
+                | (u8::from(self.is_moved()) * MOVED),
         );
         write_varint(out, self.sequence);
         out.extend(self.time.device_ns.to_le_bytes());

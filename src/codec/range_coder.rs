@@ -292,10 +292,13 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// One step of a mixed stream: a bit, two integers, plain bits.
+    type Step = (bool, u32, i32, u32);
+
     proptest! {
         #[test]
         fn bits_and_integers_come_back(values in prop::collection::vec((any::<bool>(), 0u32..70_000, -5000i32..5000, 0u32..65536), 0..400)) {
-            let run = |coder: &mut dyn FnMut(&mut Bit, &mut Integer, &mut Integer, (bool, u32, i32, u32)) -> (bool, u32, i32, u32)| {
+            let run = |coder: &mut dyn FnMut(&mut Bit, &mut Integer, &mut Integer, Step) -> Step| {
                 let (mut bit, mut a, mut b) = (Bit::default(), Integer::default(), Integer::default());
                 values.iter().map(|&v| coder(&mut bit, &mut a, &mut b, v)).collect::<Vec<_>>()
             };

@@ -217,10 +217,10 @@ pub fn code_entry<C: Coder>(
     before: Option<Entry>,
     last: &mut Option<Entry>,
 ) -> Entry {
-    if let Some(before) = before {
-        if coder.bit(&mut models.keep, matches!(statement, Some(Statement::Keep))) {
-            return before;
-        }
+    if let Some(before) = before
+        && coder.bit(&mut models.keep, matches!(statement, Some(Statement::Keep)))
+    {
+        return before;
     }
     let chart = Chart::new(rays, support);
     let (sphere, size) = match statement {

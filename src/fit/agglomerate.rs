@@ -172,7 +172,7 @@ impl Agglomeration {
                 continue;
             }
             steps += 1;
-            if steps % 64 == 0 && stop() {
+            if steps.is_multiple_of(64) && stop() {
                 break;
             }
             self.unite(best.a, best.b, &allowed);

@@ -2,9 +2,9 @@
 //!
 //! A frame goes through five passes, each over blocks of 8×8 pixels:
 //! 1. moments of every block ([`moments`]);
-//! 2. warm start ([`warm`]): blocks that the last frame's spheres still explain keep them, the
+//! 2. warm start (`warm`): blocks that the last frame's spheres still explain keep them, the
 //!    spheres are refitted from the blocks' moments, or kept to the bit where that is as good;
-//! 3. cold fit ([`cold`]): what is left is grown from block patches into spheres, inside each
+//! 3. cold fit (`cold`): what is left is grown from block patches into spheres, inside each
 //!    hex-packed cell first, then across cells;
 //! 4. contact ([`assign`]): each block's pixels are given to the fewest spheres that touch them;
 //! 5. what still touches nothing is fitted again as points of its own (paper 3.1: "use the
@@ -173,8 +173,11 @@ impl Modeler {
         if !self.options.warm_start {
             self.reset();
         }
-        let mut report = FitReport::default();
-        report.valid_pixels = self.validity.clean(&self.rays, frame, &mut self.plane) as u32;
+        let valid = self.validity.clean(&self.rays, frame, &mut self.plane);
+        let mut report = FitReport {
+            valid_pixels: valid as u32,
+            ..FitReport::default()
+        };
         self.measure();
         self.warm_start(&mut report);
         self.cold_start(time_is_up, &mut report);

@@ -37,7 +37,7 @@ impl Motion {
         let round = |v: DVec3, steps: f64| {
             let s = (v * steps + 0.5).floor();
             (s.is_finite() && s.abs().max_element() <= f64::from(MOST))
-                .then(|| [s.x as i32, s.y as i32, s.z as i32])
+                .then_some([s.x as i32, s.y as i32, s.z as i32])
         };
         Some(Self {
             turn: round(0.5 * omega, TURN_STEPS)?,

@@ -5,7 +5,7 @@
 //! centre and the radii are starts only: the points of each shell around the centre are refitted
 //! by moments, so that centre and radius follow the surface (paper-literal spheres cover 89 % of
 //! a frame where free ones cover 99.8 %). Patches of one surface are then merged across cells
-//! ([`super::merge`]), and points left over are partitioned again with cells twice as large.
+//! (`fit/merge.rs`), and points left over are partitioned again with cells twice as large.
 
 use super::cloud::{CloudModel, CloudSphere, FitParameters, UNASSIGNED, UNEXPLAINED_SHARE};
 use super::contact_distance::ContactDistance;
