@@ -313,7 +313,7 @@ fn settle(
     }
     let count = |r: u32| graph.patch(r).moments.count;
     work.roots
-        .sort_by(|&a, &b| count(b).total_cmp(&count(a)).then(a.cmp(&b)));
+        .sort_unstable_by(|&a, &b| count(b).total_cmp(&count(a)).then(a.cmp(&b)));
     let limit = problem.max_spheres.min(usize::from(NO_SPHERE));
     let room = limit.saturating_sub(slots.iter().flatten().count());
     work.roots.truncate(room);
