@@ -69,6 +69,15 @@ pub struct NewNumbers {
 }
 
 impl NewNumbers {
+    /// Numbers of which so many are looked after before a table grows.
+    #[must_use]
+    pub fn with_room(spheres: usize) -> Self {
+        Self {
+            taken: Vec::with_capacity(spheres),
+            ..Self::default()
+        }
+    }
+
     /// `taken[n]` is true where number n is a sphere of the reference frame.
     pub fn reset(&mut self, taken: impl Iterator<Item = bool>) {
         self.taken.clear();
