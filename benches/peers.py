@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
 """JPEG XL and JPEG-LS on the frames of `cargo bench --bench peers`, beside this program's own numbers.
 
-Needs `pip install imagecodecs numpy` and the program, built: `cargo build --release`.
+Needs `pip install imagecodecs numpy` and the program: `target/release/saint-live` (`cargo build --release`), or the one SAINT_LIVE names.
 
     benches/peers.py [FOLDER ...]        without folders: the bundled recordings
 
 Each folder goes through the program first (`replay --lossless`, `export --to png16`), so that the
 peers code the measurements the program codes, 0 elsewhere. One thread each. A ratio is the peer's
 number over that of our lossless stream in the steady state (`bench --lossless --threads 1`); times
-are medians over frames, the fastest of three runs each.
+are medians over frames, each run once, ours like theirs.
 """
 
 import json
+import os
 import pathlib
 import statistics
 import subprocess
@@ -23,9 +24,8 @@ import imagecodecs
 import numpy
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-PROGRAM = ROOT / "target/release/saint-live"
+PROGRAM = pathlib.Path(os.environ.get("SAINT_LIVE", ROOT / "target/release/saint-live"))
 FRAMES = 40
-RUNS = 3
 
 PEERS = {
     f"JPEG XL effort {effort}": (
@@ -49,13 +49,10 @@ def frames_of(folder):
         return [imagecodecs.png_decode(file.read_bytes()) for file in files]
 
 
-def fastest(work, argument):
-    times = []
-    for _ in range(RUNS):
-        start = time.perf_counter()
-        result = work(argument)
-        times.append(time.perf_counter() - start)
-    return result, min(times) * 1e3
+def timed(work, argument):
+    start = time.perf_counter()
+    result = work(argument)
+    return result, (time.perf_counter() - start) * 1e3
 
 
 def compare(folder):
@@ -74,9 +71,9 @@ def compare(folder):
     for name, (encode, decode) in PEERS.items():
         sizes, encode_ms, decode_ms = 0, [], []
         for frame in frames:
-            data, elapsed = fastest(encode, frame)
+            data, elapsed = timed(encode, frame)
             encode_ms.append(elapsed)
-            back, elapsed = fastest(decode, data)
+            back, elapsed = timed(decode, data)
             decode_ms.append(elapsed)
             assert numpy.array_equal(back, frame), f"{name}: not lossless"
             sizes += len(data)
