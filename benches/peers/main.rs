@@ -39,10 +39,10 @@ const OURS: [(&str, bool, bool); 4] = [
 
 /// One codec on one frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
-    pub encode_ms: f64,
-    pub decode_ms: f64,
-    pub bytes: usize,
+struct Sample {
+    encode_ms: f64,
+    decode_ms: f64,
+    bytes: usize,
 }
 
 impl Sample {

@@ -66,7 +66,7 @@ impl Ours {
     }
 
     /// One frame there and back.
-    pub fn run(&mut self, frame: &DepthFrame) -> Result<Sample, Box<dyn Error>> {
+    pub(crate) fn run(&mut self, frame: &DepthFrame) -> Result<Sample, Box<dyn Error>> {
         if self.cold {
             self.modeler.reset();
             self.encoder.request_key();
