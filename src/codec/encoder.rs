@@ -10,6 +10,7 @@ use crate::contact_map::assign::{EMPTY, PALETTE};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
+use crate::fit::live::ROOM;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
 
@@ -97,11 +98,11 @@ impl Encoder {
             reach: Reach::new(&options.tolerance.contact, camera.depth_unit_m),
             stream,
             options,
-            state: State::default(),
+            state: State::with_room(ROOM),
             plane: Vec::new(),
             hits: Vec::new(),
-            numbers: Vec::new(),
-            slots: Vec::new(),
+            numbers: Vec::with_capacity(ROOM),
+            slots: Vec::with_capacity(ROOM),
             sections: Default::default(),
             since_key: 0,
             last_sequence: None,

@@ -18,21 +18,21 @@ const LIST: usize = 16;
 /// Learnt models of the section.
 #[derive(Clone, Debug)]
 pub struct Models {
-    more: Vec<Bit>,
-    candidate: Vec<Bit>,
+    more: [Bit; 3 * 16],
+    candidate: [Bit; 8 * 2 * 8],
     none: [Bit; 2],
     new: [Bit; 2],
-    pixel: Vec<Bit>,
+    pixel: [Bit; 3 * 243],
 }
 
 impl Default for Models {
     fn default() -> Self {
         Self {
-            more: vec![Bit::default(); 3 * 16],
-            candidate: vec![Bit::default(); 8 * 2 * 8],
+            more: [Bit::default(); 3 * 16],
+            candidate: [Bit::default(); 8 * 2 * 8],
             none: Default::default(),
             new: Default::default(),
-            pixel: vec![Bit::default(); 3 * 243],
+            pixel: [Bit::default(); 3 * 243],
         }
     }
 }
@@ -69,6 +69,15 @@ pub struct NewNumbers {
 }
 
 impl NewNumbers {
+    /// Numbers of which so many are looked after before a table grows.
+    #[must_use]
+    pub fn with_room(spheres: usize) -> Self {
+        Self {
+            taken: Vec::with_capacity(spheres),
+            ..Self::default()
+        }
+    }
+
     /// `taken[n]` is true where number n is a sphere of the reference frame.
     pub fn reset(&mut self, taken: impl Iterator<Item = bool>) {
         self.taken.clear();

@@ -24,17 +24,17 @@ pub enum Fill {
 /// Learnt models of the section.
 #[derive(Clone, Debug)]
 pub struct Models {
-    full: Vec<Bit>,
-    empty: Vec<Bit>,
-    pixel: Vec<Bit>,
+    full: [Bit; 36],
+    empty: [Bit; 36],
+    pixel: [Bit; 1024],
 }
 
 impl Default for Models {
     fn default() -> Self {
         Self {
-            full: vec![Bit::default(); 36],
-            empty: vec![Bit::default(); 36],
-            pixel: vec![Bit::default(); 1024],
+            full: [Bit::default(); 36],
+            empty: [Bit::default(); 36],
+            pixel: [Bit::default(); 1024],
         }
     }
 }

@@ -14,7 +14,7 @@ use crate::deproject::{BLOCK, Rays};
 #[derive(Clone, Debug)]
 pub struct Models {
     block: [Bit; 12],
-    zero: Vec<Bit>,
+    zero: [Bit; 64],
     sign: [Bit; 9],
     size: [Integer; 6],
 }
@@ -23,7 +23,7 @@ impl Default for Models {
     fn default() -> Self {
         Self {
             block: Default::default(),
-            zero: vec![Bit::default(); 64],
+            zero: [Bit::default(); 64],
             sign: Default::default(),
             size: Default::default(),
         }

@@ -52,6 +52,21 @@ pub(super) struct State {
 }
 
 impl State {
+    /// A state whose tables hold so many spheres before they grow.
+    pub fn with_room(spheres: usize) -> Self {
+        let picture = || Picture {
+            entries: Vec::with_capacity(spheres),
+            ..Picture::default()
+        };
+        Self {
+            now: picture(),
+            before: picture(),
+            new: NewNumbers::with_room(spheres),
+            supports: Vec::with_capacity(spheres),
+            ..Self::default()
+        }
+    }
+
     /// Starts a frame: the last one becomes the reference, or is forgotten for a key frame.
     pub fn begin(&mut self, rays: &Rays, key: bool) {
         std::mem::swap(&mut self.now, &mut self.before);

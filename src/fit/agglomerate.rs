@@ -76,13 +76,41 @@ impl Ord for Union {
     }
 }
 
+/// No entry.
+const NONE: u32 = u32::MAX;
+
+/// One entry of a list of neighbours: a patch and the entry after it.
+#[derive(Clone, Copy, Debug)]
+struct Link {
+    to: u32,
+    next: u32,
+}
+
+/// The neighbours of one patch: a chain through `Agglomeration::links`. Chains are joined without
+/// moving them, and all of them share one buffer that a frame does not have to grow.
+#[derive(Clone, Copy, Debug)]
+struct Neighbours {
+    first: u32,
+    last: u32,
+    count: u32,
+}
+
+impl Neighbours {
+    const EMPTY: Self = Self {
+        first: NONE,
+        last: NONE,
+        count: 0,
+    };
+}
+
 /// A graph of patches that are united while that saves bits. Buffers are kept between frames.
 #[derive(Debug, Default)]
 pub struct Agglomeration {
     patches: Vec<Patch>,
     parent: Vec<u32>,
     age: Vec<u32>,
-    neighbours: Vec<Vec<u32>>,
+    neighbours: Vec<Neighbours>,
+    links: Vec<Link>,
     heap: BinaryHeap<Union>,
     seen: Vec<u32>,
     stamp: u32,
@@ -95,9 +123,8 @@ impl Agglomeration {
         self.parent.clear();
         self.age.clear();
         self.heap.clear();
-        for n in &mut self.neighbours {
-            n.clear();
-        }
+        self.neighbours.clear();
+        self.links.clear();
     }
 
     /// Adds a patch and returns its number.
@@ -106,18 +133,30 @@ impl Agglomeration {
         self.patches.push(patch);
         self.parent.push(k as u32);
         self.age.push(0);
-        if self.neighbours.len() <= k {
-            self.neighbours.push(Vec::new());
-        }
+        self.neighbours.push(Neighbours::EMPTY);
         k as u32
     }
 
     /// Says that two patches touch.
     pub fn touch(&mut self, a: u32, b: u32) {
         if a != b {
-            self.neighbours[a as usize].push(b);
-            self.neighbours[b as usize].push(a);
+            self.link(a, b);
+            self.link(b, a);
         }
+    }
+
+    /// Appends `to` to the neighbours of `from`.
+    fn link(&mut self, from: u32, to: u32) {
+        let entry = self.links.len() as u32;
+        self.links.push(Link { to, next: NONE });
+        let list = &mut self.neighbours[from as usize];
+        if list.count == 0 {
+            list.first = entry;
+        } else {
+            self.links[list.last as usize].next = entry;
+        }
+        list.last = entry;
+        list.count += 1;
     }
 
     /// Number of patches pushed.
@@ -155,11 +194,14 @@ impl Agglomeration {
             if self.root(a) != a {
                 continue;
             }
-            for i in 0..self.neighbours[a as usize].len() {
-                let b = self.root(self.neighbours[a as usize][i]);
+            let mut entry = self.neighbours[a as usize].first;
+            while entry != NONE {
+                let Link { to, next } = self.links[entry as usize];
+                let b = self.root(to);
                 if a < b && allowed(a, b) {
                     self.propose(a, b);
                 }
+                entry = next;
             }
         }
         let mut steps = 0u32;
@@ -200,39 +242,56 @@ impl Agglomeration {
             return;
         };
         // the one with more neighbours keeps its number: fewer are moved
-        let (keep, gone) = if self.neighbours[a as usize].len() >= self.neighbours[b as usize].len()
-        {
-            (a, b)
-        } else {
-            (b, a)
-        };
+        let count = |k: u32| self.neighbours[k as usize].count;
+        let (keep, gone) = if count(a) >= count(b) { (a, b) } else { (b, a) };
         self.patches[keep as usize] = union;
         self.parent[gone as usize] = keep;
         self.age[keep as usize] = self.age[keep as usize]
             .wrapping_add(self.age[gone as usize])
             .wrapping_add(1);
-        let mut moved = std::mem::take(&mut self.neighbours[gone as usize]);
-        let mut own = std::mem::take(&mut self.neighbours[keep as usize]);
-        own.append(&mut moved);
-        self.neighbours[gone as usize] = moved;
-        // one entry for each root
+        self.join(keep, gone);
+        let mut entry = self.neighbours[keep as usize].first;
+        while entry != NONE {
+            let Link { to, next } = self.links[entry as usize];
+            if allowed(keep, to) {
+                self.propose(keep, to);
+            }
+            entry = next;
+        }
+    }
+
+    /// Gives the neighbours of `gone` to `keep`, one entry for each root.
+    fn join(&mut self, keep: u32, gone: u32) {
+        let moved = std::mem::replace(&mut self.neighbours[gone as usize], Neighbours::EMPTY);
+        let own = self.neighbours[keep as usize];
+        let first = if own.count == 0 {
+            moved.first
+        } else {
+            self.links[own.last as usize].next = moved.first;
+            own.first
+        };
         self.stamp += 1;
         self.seen.resize(self.patches.len(), 0);
-        let mut write = 0;
-        for read in 0..own.len() {
-            let r = self.root(own[read]);
-            if r != keep && self.seen[r as usize] != self.stamp {
-                self.seen[r as usize] = self.stamp;
-                own[write] = r;
-                write += 1;
+        // entries that stay move to the front of the chain
+        let mut joined = Neighbours::EMPTY;
+        let (mut read, mut write) = (first, first);
+        while read != NONE {
+            let Link { to, next } = self.links[read as usize];
+            let root = self.root(to);
+            if root != keep && self.seen[root as usize] != self.stamp {
+                self.seen[root as usize] = self.stamp;
+                let entry = &mut self.links[write as usize];
+                entry.to = root;
+                joined.last = write;
+                joined.count += 1;
+                write = entry.next;
             }
+            read = next;
         }
-        own.truncate(write);
-        for &n in &own {
-            if allowed(keep, n) {
-                self.propose(keep, n);
-            }
+        if joined.count > 0 {
+            joined.first = first;
+            self.links[joined.last as usize].next = NONE;
         }
-        self.neighbours[keep as usize] = own;
+        self.neighbours[keep as usize] = joined;
     }
 }

@@ -52,6 +52,16 @@ pub(super) struct Workspace {
     pub(super) candidates: Vec<Candidates>,
 }
 
+impl Workspace {
+    /// Buffers for so many spheres; the others follow the size of the image.
+    pub(super) fn with_room(spheres: usize) -> Self {
+        Self {
+            node_of_slot: Vec::with_capacity(spheres),
+            ..Self::default()
+        }
+    }
+}
+
 const NONE: u32 = u32::MAX;
 
 /// Fits the blocks without a sphere. Sets `Block::sphere` of every block that got one.
@@ -313,7 +323,7 @@ fn settle(
     }
     let count = |r: u32| graph.patch(r).moments.count;
     work.roots
-        .sort_by(|&a, &b| count(b).total_cmp(&count(a)).then(a.cmp(&b)));
+        .sort_unstable_by(|&a, &b| count(b).total_cmp(&count(a)).then(a.cmp(&b)));
     let limit = problem.max_spheres.min(usize::from(NO_SPHERE));
     let room = limit.saturating_sub(slots.iter().flatten().count());
     work.roots.truncate(room);

@@ -111,6 +111,10 @@ const TOUCH_SHARE: f64 = 0.85;
 /// Fewest pixels from which a block's surface is judged.
 pub(super) const MIN_BLOCK_PIXELS: u32 = 12;
 
+/// Spheres that tables have room for from the start, so that they do not grow while a stream runs.
+/// A room seen in VGA has some hundred; past this tables grow as they must.
+pub(crate) const ROOM: usize = 1024;
+
 /// The live fit with its state from frame to frame and its buffers.
 #[derive(Debug)]
 pub struct Modeler {
@@ -147,11 +151,14 @@ impl Modeler {
             plane: Vec::new(),
             blocks: vec![Block::default(); rays.blocks()],
             before: vec![EMPTY; rays.blocks()],
-            slots: Vec::new(),
-            frame: SaintFrame::default(),
+            slots: Vec::with_capacity(ROOM),
+            frame: SaintFrame {
+                spheres: Vec::with_capacity(ROOM),
+                ..SaintFrame::default()
+            },
             graph: Agglomeration::default(),
-            warm: warm::Workspace::default(),
-            cold: cold::Workspace::default(),
+            warm: warm::Workspace::with_room(ROOM),
+            cold: cold::Workspace::with_room(ROOM),
             rays,
         }
     }
@@ -348,6 +355,7 @@ impl Modeler {
         report.spheres = self.slots.iter().flatten().count() as u32;
         out.motion = self.frame.motion;
         out.spheres.clear();
+        out.spheres.reserve(self.slots.capacity());
         out.spheres
             .extend(self.slots.iter().map(|s| s.map(|p| p.fit.sphere)));
         out.labels.resize(width * height, INVALID);

@@ -32,6 +32,17 @@ pub(super) struct Workspace {
     pub(super) used: Vec<u32>,
 }
 
+impl Workspace {
+    /// Buffers for so many spheres.
+    pub(super) fn with_room(spheres: usize) -> Self {
+        Self {
+            sums: Vec::with_capacity(spheres),
+            used: Vec::with_capacity(spheres),
+            ..Self::default()
+        }
+    }
+}
+
 pub(super) fn start(
     rays: &Rays,
     blocks: &mut [Block],
