@@ -13,7 +13,7 @@ use crate::deproject::{BLOCK, Rays};
 /// Learnt models of the section.
 #[derive(Clone, Debug)]
 pub struct Models {
-    block: [Bit; 12],
+    block: [Bit; 9],
     zero: Vec<Bit>,
     sign: [Bit; 9],
     size: [Integer; 6],
@@ -51,8 +51,7 @@ pub fn code_blocks<C: Coder>(
         let west = k % columns > 0 && active[k - 1];
         let north = k >= columns && active[k - columns];
         let past = before.map_or(2, |b| usize::from(b[k]));
-        let context =
-            (usize::from(west) + usize::from(north)) * 3 + past + if sizes[k] > 1 { 0 } else { 0 };
+        let context = (usize::from(west) + usize::from(north)) * 3 + past;
         active[k] = coder.bit(&mut models.block[context], active[k]);
     }
 }
