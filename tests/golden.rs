@@ -13,7 +13,7 @@
 
 mod frames;
 
-use frames::{Picture, camera, draw, options};
+use frames::{Chance, Picture, camera, draw, options};
 use saint_live::capture::CaptureError;
 use saint_live::capture::synthetic::{Scene, SyntheticOptions, generate};
 use saint_live::codec::{Decoder, EncodedFrame, Encoder};
@@ -26,13 +26,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-const CHAINS: [&str; 7] = [
+const CHAINS: [&str; 8] = [
     "room-64x48",
     "carried-50x37",
     "balls-50x37",
     "slope-lossless-50x37",
     "checkerboard-lossless-9x64",
     "noise-24x20",
+    "wild-26x15",
     "empty-17x9",
 ];
 
@@ -154,6 +155,7 @@ fn scene(name: &str) -> (Camera, Vec<DepthFrame>) {
         "slope-lossless-50x37" => (Picture::NoisySlope, (50, 37)),
         "checkerboard-lossless-9x64" => (Picture::Checkerboard, (9, 64)),
         "noise-24x20" => (Picture::Noise, (24, 20)),
+        "wild-26x15" => (Picture::BallsAndHoles, (26, 15)),
         "empty-17x9" => (Picture::Invalid, (17, 9)),
         _ => panic!("no chain {name}"),
     };
@@ -188,6 +190,9 @@ fn encode(name: &str) -> Vec<u8> {
         } else {
             modeler.model(frame, &mut saint, &|| false);
         }
+        if name.starts_with("wild") {
+            bend(&mut saint, number);
+        }
         let report = encoder
             .encode(frame, &saint, number == 2, &mut encoded)
             .unwrap();
@@ -199,6 +204,26 @@ fn encode(name: &str) -> Vec<u8> {
         bytes.extend_from_slice(&encoded.payload);
     }
     bytes
+}
+
+/// Spheres and motions that no fit gives: hollows, rays that miss, surfaces through the camera.
+fn bend(saint: &mut SaintFrame, number: usize) {
+    let mut chance = Chance(number as u64);
+    for sphere in saint.spheres.iter_mut().flatten() {
+        match chance.below(4) {
+            0 => sphere.far = true,
+            1 => sphere.a = chance.below(100) as f32 * 0.3 - 15.0,
+            2 => sphere.m.z = chance.below(100) as f32 * 0.01,
+            _ => {}
+        }
+    }
+    if number > 0 {
+        let mut step = || chance.below(65_535) as i32 - 32_767;
+        saint.motion = Motion {
+            turn: [step(), step(), step()],
+            shift: [step(), step(), step()],
+        };
+    }
 }
 
 /// Writes the golden files anew. Only for a new version of the format, beside the old ones.

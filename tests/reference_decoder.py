@@ -375,7 +375,7 @@ class Frame:
                 continue
             for label in palettes[there]:
                 if label in votes:
-                    votes[label] += vote
+                    votes[label] |= vote
                 elif len(votes) < 16:
                     votes[label] = vote
         return list(votes.items())
