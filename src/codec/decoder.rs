@@ -283,7 +283,10 @@ fn rebuild(
         } else {
             reach.step(u * u + v * v + 1.0)
         };
-        let back = (i32::from(base) + k.saturating_mul(step)).clamp(1, 65535) as u16;
+        let back = k
+            .saturating_mul(step)
+            .saturating_add(i32::from(base))
+            .clamp(1, 65535) as u16;
         rebuilt.cells_mut()[i] = back;
         if !lossless {
             predicted.cells_mut()[i] = 0.0;

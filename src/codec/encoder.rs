@@ -279,9 +279,7 @@ impl Encoder {
             self.numbers.clear();
             self.slots.clear();
         }
-        let State {
-            now, before, new, ..
-        } = &mut self.state;
+        let State { now, new, .. } = &mut self.state;
         for k in 0..self.rays.blocks() {
             let size = usize::from(now.map.sizes[k]);
             for entry in &mut now.map.palettes[k][..size] {
@@ -319,7 +317,7 @@ impl Encoder {
             }
         }
         // the coder gives the numbers away a second time
-        new.reset(before.entries.iter().map(Option::is_some));
+        new.start_over();
     }
 
     fn code_mask_and_labels(&mut self, key: bool) -> Result<(), CodecError> {

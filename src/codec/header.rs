@@ -1,4 +1,4 @@
-//! The payload's header: what a decoder must know before the sections (`FORMAT.md` §2).
+//! The payload's header: what a decoder must know before the sections (`FORMAT.md` §1.2).
 
 use super::CodecError;
 use crate::fit::contact_distance::ContactDistance;
@@ -74,7 +74,7 @@ impl Stream {
         }
     }
 
-    /// Refuses what no camera is: the limits of `FORMAT.md` §5.
+    /// Refuses what no camera is: the limits of `FORMAT.md` §1.3.
     ///
     /// # Errors
     /// [`CodecError::Limit`] with the value and the limit.

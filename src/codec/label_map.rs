@@ -82,6 +82,11 @@ impl NewNumbers {
     pub fn reset(&mut self, taken: impl Iterator<Item = bool>) {
         self.taken.clear();
         self.taken.extend(taken);
+        self.start_over();
+    }
+
+    /// Takes back all numbers that were given away.
+    pub fn start_over(&mut self) {
         self.next = 0;
         self.given = 0;
     }

@@ -1,5 +1,5 @@
-//! Payload of a polar SAINT model: spheres and the contact map that keeps every claim.
-#![doc = include_str!("POLAR.md")]
+//! Payload of a polar SAINT model: spheres and the contact map that keeps every claim (`FORMAT.md`,
+//! chapter 2).
 
 use crate::contact_map::merged::ClaimMap;
 use crate::contact_map::polar::{MAX_STEPS, Patch, PatchCell};

@@ -27,6 +27,8 @@ impl Default for Bit {
 /// Slowest adaptation (shift) of the two estimates.
 const FAST: u8 = 5;
 const SLOW: u8 = 7;
+/// Most zero bytes that a section may lack at its end.
+const PAST_END: usize = 8;
 
 impl Bit {
     /// Probability of a one, in 1/65536, never 0 or 1.
@@ -109,7 +111,8 @@ impl<'a> Encoder<'a> {
         self.low = (self.low & 0x00FF_FFFF) << 8;
     }
 
-    /// Writes what is left. Trailing zero bytes are dropped: the decoder reads zeros past the end.
+    /// Writes what is left. Up to eight trailing zero bytes are dropped: the decoder reads so many
+    /// zeros past the end.
     pub fn finish(mut self) {
         let start = self.out.len();
         // the value in [low, low + range) with most trailing zeros
@@ -123,6 +126,8 @@ impl<'a> Encoder<'a> {
         for _ in 0..5 {
             self.shift();
         }
+        // a carry can make zeros of any number of pending bytes
+        let start = start.max(self.out.len().saturating_sub(PAST_END));
         while self.out.len() > start && self.out.last() == Some(&0) {
             self.out.pop();
         }
@@ -198,7 +203,7 @@ impl<'a> Decoder<'a> {
     /// True where more was read than any encoder would have left out: the bytes are damaged.
     #[must_use]
     pub fn overran(&self) -> bool {
-        self.at > self.bytes.len() + 8
+        self.at > self.bytes.len() + PAST_END
     }
 }
 

@@ -13,7 +13,7 @@ use crate::deproject::{BLOCK, Rays};
 /// Learnt models of the section.
 #[derive(Clone, Debug)]
 pub struct Models {
-    block: [Bit; 12],
+    block: [Bit; 9],
     zero: [Bit; 64],
     sign: [Bit; 9],
     size: [Integer; 6],
