@@ -10,7 +10,7 @@ use crate::contact_map::assign::{EMPTY, PALETTE};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
-use crate::fit::live::ROOM;
+use crate::fit::live::FitOptions;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
 
@@ -92,17 +92,19 @@ impl Encoder {
         options.tolerance.lossless |=
             2.0 * options.tolerance.contact.floor_m < camera.depth_unit_m * f64::from(slant);
         let stream = Stream::new(camera, options.tolerance);
+        // tables of spheres do not grow while a stream of the default fit runs
+        let room = FitOptions::default().max_spheres;
         Ok(Self {
             rays,
             validity: Validity::new(camera),
             reach: Reach::new(&options.tolerance.contact, camera.depth_unit_m),
             stream,
             options,
-            state: State::with_room(ROOM),
+            state: State::with_room(room),
             plane: Vec::new(),
             hits: Vec::new(),
-            numbers: Vec::with_capacity(ROOM),
-            slots: Vec::with_capacity(ROOM),
+            numbers: Vec::with_capacity(room),
+            slots: Vec::with_capacity(room),
             sections: Default::default(),
             since_key: 0,
             last_sequence: None,

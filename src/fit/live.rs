@@ -111,10 +111,6 @@ const TOUCH_SHARE: f64 = 0.85;
 /// Fewest pixels from which a block's surface is judged.
 pub(super) const MIN_BLOCK_PIXELS: u32 = 12;
 
-/// Spheres that tables have room for from the start, so that they do not grow while a stream runs.
-/// A room seen in VGA has some hundred; past this tables grow as they must.
-pub(crate) const ROOM: usize = 1024;
-
 /// The live fit with its state from frame to frame and its buffers.
 #[derive(Debug)]
 pub struct Modeler {
@@ -139,6 +135,8 @@ impl Modeler {
     #[must_use]
     pub fn new(camera: &Camera, options: &FitOptions) -> Self {
         let rays = Rays::new(camera);
+        // tables of spheres never grow while a stream runs
+        let room = options.max_spheres.min(usize::from(NO_SPHERE));
         Self {
             validity: Validity::new(camera),
             reach: Reach::new(
@@ -151,14 +149,14 @@ impl Modeler {
             plane: Vec::new(),
             blocks: vec![Block::default(); rays.blocks()],
             before: vec![EMPTY; rays.blocks()],
-            slots: Vec::with_capacity(ROOM),
+            slots: Vec::with_capacity(room),
             frame: SaintFrame {
-                spheres: Vec::with_capacity(ROOM),
+                spheres: Vec::with_capacity(room),
                 ..SaintFrame::default()
             },
             graph: Agglomeration::default(),
-            warm: warm::Workspace::with_room(ROOM),
-            cold: cold::Workspace::with_room(ROOM),
+            warm: warm::Workspace::with_room(room),
+            cold: cold::Workspace::with_room(room),
             rays,
         }
     }
