@@ -284,6 +284,9 @@ pub struct ReplayArgs {
     /// What the values of EXR files measure.
     #[arg(long, value_enum, default_value_t = ExrDepthArg::Planar)]
     pub exr_depth: ExrDepthArg,
+    /// Carry the colour images beside the depth along, bytes untouched, as a channel of their own.
+    #[arg(long)]
+    pub color: bool,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]

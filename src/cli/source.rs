@@ -136,6 +136,8 @@ pub struct InputOptions {
     pub fps: Option<f64>,
     /// What the values of EXR files measure.
     pub exr_depth: ExrDepthArg,
+    /// Take the colour images beside the depth along.
+    pub color: bool,
 }
 
 /// A recorded input, once.
@@ -178,6 +180,7 @@ pub fn recorded(input: &Path, options: &InputOptions) -> Result<Box<dyn FrameSou
         },
         first: usize::try_from(from).unwrap_or(usize::MAX),
         count: to.map(|to| usize::try_from(to - from).unwrap_or(usize::MAX)),
+        without_color: !options.color,
         ..SequenceOptions::default()
     };
     Ok(sequences::open(input, &given)?)

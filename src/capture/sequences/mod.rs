@@ -85,6 +85,8 @@ pub struct SequenceOptions {
     pub first: usize,
     /// Frames to give at most.
     pub count: Option<usize>,
+    /// Leave the colour images beside the depth where they are.
+    pub without_color: bool,
 }
 
 /// Opens a recorded sequence: a folder, a single image or a printf pattern.

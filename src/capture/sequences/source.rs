@@ -34,6 +34,7 @@ pub(super) struct ImageSequence {
     refused: Refused,
     /// Colour of the frame returned last.
     color: Option<(u64, FrameTime, ColorFile)>,
+    without_color: bool,
 }
 
 /// The decoder and the buffers it fills again for each frame.
@@ -144,6 +145,7 @@ impl ImageSequence {
             losses: SourceLosses::default(),
             refused: Refused::default(),
             color: None,
+            without_color: options.without_color,
         })
     }
 
@@ -259,7 +261,9 @@ impl FrameSource for ImageSequence {
         frame.sequence = number;
         frame.time = self.time(index);
         let color = self.frames[index].color.clone();
-        self.color = color.map(|color| (number, frame.time, color));
+        self.color = color
+            .filter(|_| !self.without_color)
+            .map(|color| (number, frame.time, color));
         Ok(Next::Frame)
     }
 
