@@ -43,6 +43,8 @@ pub struct Table {
     of: Vec<u16>,
     /// Depth integer of each bin.
     centers: Vec<u16>,
+    /// Four by the way to the next bin.
+    quarters: Vec<f32>,
 }
 
 impl Table {
@@ -71,9 +73,10 @@ impl Table {
     #[inline(always)]
     #[must_use]
     pub fn part(&self, bin: i32, depth: f32) -> i32 {
-        let center = f32::from(self.center(bin));
-        let gap = (f32::from(self.center(bin + 1)) - center).max(1.0);
-        (((depth - center) * 4.0 / gap + 0.5).floor() as i32).clamp(-3, 3)
+        let bin = self.clamp(bin) as usize;
+        let way = (depth - f32::from(self.centers[bin])) * self.quarters[bin];
+        // the nearest, by a cast that drops the fraction of a positive number
+        (way.clamp(-3.0, 3.0) + 8.5) as i32 - 8
     }
 
     /// Greedy from the smallest integer: a bin grows while its ends lie within `half` of its
@@ -99,6 +102,11 @@ impl Table {
         }
         // an empty list, which only damaged bytes have, is one bin
         self.centers.push(((first + last) / 2).max(1) as u16);
+        self.quarters.clear();
+        self.quarters.resize(self.centers.len(), 4.0);
+        for (quarter, pair) in self.quarters.iter_mut().zip(self.centers.windows(2)) {
+            *quarter = 4.0 / f32::from(pair[1] - pair[0]);
+        }
     }
 }
 

@@ -74,7 +74,7 @@ impl State {
     pub fn begin(&mut self, rays: &Rays, key: bool) {
         std::mem::swap(&mut self.now, &mut self.before);
         if key {
-            self.models.mask = mask::Models::default();
+            self.models.mask.reset();
             self.models.labels = label_map::Models::default();
             self.models.spheres = sphere_table::Models::default();
             self.models.residual.reset();
