@@ -47,12 +47,13 @@ impl Fit {
         if args.seed.is_some() && args.scheme != SchemeArg::Random {
             return stray("--seed", "random");
         }
-        // a bound on the error is a contact distance, too: what lies farther off is not modelled
+        let bound_m = match (args.max_error, args.lossless) {
+            (Some(most), _) => Some(most.0),
+            (None, lossless) => lossless.then_some(0.0),
+        };
         let contact = args
             .contact_distance
-            .or(args
-                .max_error
-                .map(|most| ContactDistance::for_bound(most.0)))
+            .or(bound_m.map(ContactDistance::for_bound))
             .unwrap_or_default();
         let packing = match args.packing {
             Some(PackingArg::Cubic) => Packing::Cubic,
