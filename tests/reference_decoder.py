@@ -23,6 +23,7 @@ NO_SPHERE, INVALID = 65534, 65535
 KEY, LOSSLESS, DEGRADED, MOVED = 1, 2, 4, 8
 EMPTY, FULL, MIXED = 0, 1, 2
 SMOOTH, SPARSE, DENSE = 0, 1, 2
+ENDS = [1, 2, 3, 5, 7, 11, 15, 23, 31, 47, 63, 95, 127, 191]
 
 
 class Models:
@@ -42,7 +43,7 @@ class Models:
         (self.listed,) = bits(1)
         self.active, self.dense, self.miss = bits(9), bits(27), bits(81)
         self.count, self.gap = Integer(), Integer()
-        self.bin_far = [Integer() for _ in range(16)]
+        self.fine, self.bin_far = bits(14), Integer()
         self.bins, self.bin_weights = [Contexts() for _ in range(3)], Weights()
 
 
@@ -490,7 +491,7 @@ class Frame:
             guess = (median + shifted + (median > shifted)) >> 1
         error = [t[1] for t in around]
         e = 2 * (error[0] + error[1]) + error[2] + error[3]
-        activity = sum(e > limit for limit in (0, 1, 2, 4, 7, 12, 20))
+        activity = sum(e > limit for limit in (0, 1, 2, 4, 7, 12, 20, 36, 64, 120))
         anchor = guess if own is None else own
         cells = (
             (nine(w - guess), nine(ww - w), nine(nw - n), five(n - guess)),
@@ -506,15 +507,21 @@ class Frame:
         found = guess
         if not read(0):
             side = read(1)
-            m = 1
-            while m < 4 and read(2 * m + side):
-                m += 1
-            if m == 4:
-                m += min(models.bin_far[2 * activity + side].read(coder), 1 << 17)
+            t = 0
+            while t < 14 and read(2 + t):
+                t += 1
+            if t == 14:
+                m = 192 + min(models.bin_far.read(coder), 1 << 17)
+            else:
+                m = ENDS[t - 1] + 1 if t else 1
+                n = (ENDS[t] - m + 1).bit_length() - 1
+                if n:
+                    m += coder.bit(models.fine[t]) << (n - 1)
+                    m += coder.plain(n - 1)
             found = guess - m if side else guess + m
         found = min(max(found, 0), len(table.centres) - 1)
         off = 0 if own is None else min(max(found - own, -8), 8)
-        self.traces[x, y] = off, min(abs(found - guess), 20), True
+        self.traces[x, y] = off, min(abs(found - guess), 255), True
         if own is None:
             self.depth[y, x] = 0
         return table.centres[found]

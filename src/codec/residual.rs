@@ -30,9 +30,13 @@ pub enum Kind {
     Dense,
 }
 
-/// Estimates of one context: zero, sign, and larger than 1, 2, 3 on either side.
-const NODES: usize = 8;
-const CELLS: [usize; CONTEXTS] = [9 * 9 * 9 * 5, 9 * 9 * 9 * 5, 2 * 7 * 9 * 9 * 8];
+/// Classes of how far off neighbours were.
+const ACTIVITIES: usize = 11;
+/// Steps of the magnitude, and largest value of each.
+const STEPS: [u32; 14] = [1, 2, 3, 5, 7, 11, 15, 23, 31, 47, 63, 95, 127, 191];
+/// Estimates of one context: zero, sign, and beyond each step.
+const NODES: usize = 2 + STEPS.len();
+const CELLS: [usize; CONTEXTS] = [9 * 9 * 9 * 5, 9 * 9 * 9 * 5, 2 * 7 * 9 * 9 * ACTIVITIES];
 
 /// Learnt models of the section.
 #[derive(Clone, Debug)]
@@ -44,7 +48,8 @@ pub struct Models {
     miss: [Bit; 81],
     estimates: [Vec<[Estimate; NODES]>; CONTEXTS],
     weights: Vec<[Weights; NODES]>,
-    far: [Integer; 16],
+    fine: [Bit; STEPS.len()],
+    far: Integer,
 }
 
 impl Models {
@@ -58,6 +63,7 @@ impl Models {
             miss,
             estimates,
             weights,
+            fine,
             far,
         } = self;
         *listed = Bit::default();
@@ -65,7 +71,8 @@ impl Models {
         active.fill(Bit::default());
         dense.fill(Bit::default());
         miss.fill(Bit::default());
-        far.fill(Integer::default());
+        fine.fill(Bit::default());
+        *far = Integer::default();
         weights.fill(Default::default());
         for e in estimates {
             e.fill(Default::default());
@@ -82,8 +89,9 @@ impl Default for Models {
             dense: [Bit::default(); 27],
             miss: [Bit::default(); 81],
             estimates: CELLS.map(|n| vec![Default::default(); n]),
-            weights: vec![Default::default(); 8 * 3],
-            far: [Integer::default(); 16],
+            weights: vec![Default::default(); ACTIVITIES * 3],
+            fine: Default::default(),
+            far: Integer::default(),
         }
     }
 }
@@ -93,7 +101,7 @@ impl Default for Models {
 pub struct Trace {
     /// Bins from the sphere's to its own, at most 8 either way; 0 without a sphere.
     off: i8,
-    /// Bins from the predicted to its own, at most 20.
+    /// Bins from the predicted to its own, at most 255.
     error: u8,
     /// True where its depth is a bin's.
     coded: bool,
@@ -297,14 +305,17 @@ impl Around {
             5..=7 => 4,
             8..=12 => 5,
             13..=20 => 6,
-            _ => 7,
+            21..=36 => 7,
+            37..=64 => 8,
+            65..=120 => 9,
+            _ => 10,
         };
         let cells = [
             ((nine(w - center) * 9 + nine(ww - w)) * 9 + nine(nw - n)) * 5 + five(n - center),
             ((nine(n - center) * 9 + nine(nn - n)) * 9 + nine(ne - n)) * 5 + five(w - center),
             (((part + 3) as usize * 9 + nine(sphere.unwrap_or(center) - center)) * 9
                 + nine(shifted - center))
-                * 8
+                * ACTIVITIES
                 + activity,
         ];
         Self {
@@ -321,6 +332,7 @@ impl Around {
         let Models {
             estimates: [a, b, c],
             weights,
+            fine,
             far,
             ..
         } = models;
@@ -342,16 +354,28 @@ impl Around {
         }
         let negative = nodes.bit(coder, 1, difference < 0);
         let magnitude = difference.unsigned_abs();
-        let side = usize::from(negative);
-        let mut size = 1;
-        while size < 4 && nodes.bit(coder, size as usize * 2 + side, magnitude > size) {
-            size += 1;
+        let mut step = 0;
+        while step < STEPS.len() && nodes.bit(coder, 2 + step, magnitude > STEPS[step]) {
+            step += 1;
         }
-        if size == 4 {
-            size += far[self.activity * 2 + side]
-                .code(coder, magnitude.saturating_sub(4))
-                .min(1 << 17);
-        }
+        let size = match STEPS.get(step) {
+            None => {
+                let far = far.code(coder, magnitude.saturating_sub(STEPS[step - 1] + 1));
+                STEPS[step - 1] + 1 + far.min(1 << 17)
+            }
+            Some(&end) => {
+                let first = if step == 0 { 1 } else { STEPS[step - 1] + 1 };
+                let width = (end - first + 1).ilog2();
+                let within = magnitude.wrapping_sub(first);
+                if width == 0 {
+                    first
+                } else {
+                    let top = coder.bit(&mut fine[step], within >> (width - 1) & 1 != 0);
+                    let rest = coder.plain(width - 1, within & ((1 << (width - 1)) - 1));
+                    first + (u32::from(top) << (width - 1) | rest)
+                }
+            }
+        };
         if negative {
             self.center - size as i32
         } else {
@@ -363,7 +387,7 @@ impl Around {
     fn trace(&self, bin: i32) -> Trace {
         Trace {
             off: self.sphere.map_or(0, |s| (bin - s).clamp(-8, 8)) as i8,
-            error: bin.abs_diff(self.center).min(20) as u8,
+            error: bin.abs_diff(self.center).min(255) as u8,
             coded: true,
         }
     }
