@@ -1,6 +1,6 @@
 //! The arguments as they are typed.
 
-use super::values::{Length, duration, factor, length, length_or_zero, size};
+use super::values::{Length, duration, duration_or_zero, factor, length, length_or_zero, size};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use saint_live::fit::contact_distance::ContactDistance;
@@ -63,7 +63,8 @@ pub enum Command {
 /// Live capture.
 #[derive(Debug, Args)]
 pub struct LiveArgs {
-    /// Depth camera: /dev/videoN, N, auto, or synthetic:SCENE[,key=value...].
+    /// Depth camera: /dev/videoN, N, a serial number, a bus id (`devices` lists them), auto, or
+    /// synthetic:SCENE[,key=value...].
     #[arg(short, long, value_name = "DEVICE")]
     pub device: Option<String>,
     /// Colour camera recorded beside it: /dev/videoN or N.
@@ -78,8 +79,13 @@ pub struct LiveArgs {
     /// Format to ask the camera for: Z16, Y16, Y14, Y12, Y10, Y10B.
     #[arg(long, value_name = "FOURCC")]
     pub pixel_format: Option<String>,
-    /// Wait for an unplugged camera to come back instead of ending.
-    #[arg(long)]
+    /// End with exit code 3 when an unplugged, silent or broken camera has sent nothing for this
+    /// long (0 ends at an unplug). Without it the camera is waited for, whatever node it comes
+    /// back as.
+    #[arg(long, value_name = "TIME", value_parser = duration_or_zero)]
+    pub give_up: Option<Duration>,
+    /// Wait for an unplugged camera to come back: the default.
+    #[arg(long, hide = true, conflicts_with = "give_up")]
     pub reconnect: bool,
     #[command(flatten)]
     pub camera: CameraArgs,

@@ -126,12 +126,15 @@ impl<'a> Run<'a> {
         let stop = signals::stop_flag()?;
         let camera = source.camera().clone();
         if !self.quiet {
-            source::introduce(&camera);
+            source::introduce(source);
         }
         self.engine.start_workers()?;
         let mut model = ModelStage::new(&camera, &self.engine)?;
         let mut encode = EncodeStage::new(&camera, &self.engine)?;
-        let mut output = Output::open(self.stream, &camera, self.engine.notes(&self.source))?;
+        let mut notes = self.engine.notes(&self.source);
+        let facts = source.notes().into_iter();
+        notes.extend(facts.map(|(name, fact)| (name.to_owned(), fact)));
+        let mut output = Output::open(self.stream, &camera, notes)?;
         let trace = self.trace()?;
         let options = Options {
             threads: self.engine.threads,

@@ -63,7 +63,7 @@ pub fn live(args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
             .clone()
             .or(calibration.and_then(|c| c.invalid))
             .unwrap_or(defaults.invalid),
-        reconnect: args.reconnect,
+        give_up: args.give_up,
     };
     Ok(Box::new(V4l2Source::open(&options)?))
 }
@@ -76,6 +76,7 @@ fn synthetic(device: &str, args: &LiveArgs) -> Result<Box<dyn FrameSource>, Fail
         ("--depth-min", camera.depth_min.is_some()),
         ("--depth-max", camera.depth_max.is_some()),
         ("--invalid", camera.invalid.is_some()),
+        ("--give-up", args.give_up.is_some()),
         ("--reconnect", args.reconnect),
     ];
     if let Some((flag, _)) = unused.iter().find(|(_, given)| *given) {
@@ -224,14 +225,20 @@ fn calibration(args: &CameraArgs) -> Result<Option<Calibration>, Failure> {
     }
 }
 
-/// Says what the camera is: size, rate, intrinsics, unit.
-pub fn introduce(camera: &Camera) {
+/// Says what the camera is: size, rate, intrinsics, unit, and who says so.
+pub fn introduce(source: &dyn FrameSource) {
+    let camera = source.camera();
+    let notes = source.notes();
+    let from = |name: &str| {
+        let note = notes.iter().find(|(known, _)| *known == name);
+        note.map_or(String::new(), |(_, who)| format!(" ({who})"))
+    };
     let k = &camera.intrinsics;
     let rate = camera
         .fps
         .map_or(String::new(), |fps| format!(" at {fps:.2} fps"));
     message::say(&format!(
-        "{}: {}x{}{rate}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}, 1 unit = {} mm, {} to {:.1} m",
+        "{}: {}x{}{rate}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}{}, 1 unit = {} mm{}, {} to {:.1} m",
         camera.name,
         camera.width,
         camera.height,
@@ -239,7 +246,9 @@ pub fn introduce(camera: &Camera) {
         k.fy,
         k.cx,
         k.cy,
+        from("intrinsics_from"),
         camera.depth_unit_m * 1e3,
+        from("depth_unit_from"),
         camera.depth_min_m,
         camera.depth_max_m,
     ));

@@ -215,6 +215,18 @@ impl FrameSource for SyntheticSource {
         }
     }
 
+    fn notes(&self) -> Vec<(&'static str, String)> {
+        let clock = match self.options.paced {
+            true => "CLOCK_MONOTONIC of the capturing machine, when the frame was due",
+            false => "the scene's own, from 0",
+        };
+        vec![
+            ("intrinsics_from", "the synthetic sensor".to_owned()),
+            ("depth_unit_from", "the synthetic sensor".to_owned()),
+            ("clock", clock.to_owned()),
+        ]
+    }
+
     fn losses(&self) -> SourceLosses {
         self.losses
     }
