@@ -212,7 +212,7 @@ fn each_frame_the_camera_made_is_recorded_or_counted_by_its_cause() {
         let errors = scenario(name).errors;
         assert!(errors.contains(text), "{name}: no {text:?} in\n{errors}");
     };
-    told("stall", "no frame for");
+    told("stall", "no frame comes");
     told("pause", "starting the stream again");
     told("stream", "(told by the camera)");
 
@@ -252,7 +252,7 @@ fn a_camera_that_comes_back_under_another_number_goes_on() {
         "{nodes}"
     );
     let replugged = Scenario::read(&folder, "replugged");
-    replugged.expect(0, "is back");
+    replugged.expect(0, "streams again");
     // Its frames begin again, once.
     let numbers = replugged.frames(SMALL);
     let again = (1..numbers.len()).find(|i| numbers[*i] <= numbers[*i - 1]);

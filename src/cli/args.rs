@@ -61,15 +61,22 @@ pub enum Command {
 }
 
 /// Live capture.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct LiveArgs {
     /// Depth camera: /dev/videoN, N, a serial number, a bus id (`devices` lists them), auto, or
-    /// synthetic:SCENE[,key=value...].
+    /// synthetic:SCENE[,key=value...]. Given more than once, all are recorded together.
     #[arg(short, long, value_name = "DEVICE")]
-    pub device: Option<String>,
-    /// Colour camera recorded beside it: /dev/videoN or N.
-    #[arg(long, value_name = "DEVICE")]
+    pub device: Vec<String>,
+    /// Record the cameras of this TOML file together: names, devices, poses.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["device", "intrinsics", "depth_unit"])]
+    pub rig: Option<PathBuf>,
+    /// Colour camera recorded beside it, named as --device. When it fails, depth goes on.
+    #[arg(long, value_name = "DEVICE", conflicts_with = "rig")]
     pub color_device: Option<String>,
+    /// Lens of the colour camera and its pose in the depth camera's frame (TOML): makes `export
+    /// --to ply` give points their colours.
+    #[arg(long, value_name = "FILE", requires = "color_device")]
+    pub color_camera: Option<PathBuf>,
     /// Image size to ask the camera for.
     #[arg(short, long, value_name = "WxH", value_parser = size)]
     pub size: Option<(u32, u32)>,
@@ -353,6 +360,13 @@ pub struct ExportArgs {
     /// Replace files that exist.
     #[arg(long)]
     pub overwrite: bool,
+    /// The camera to export, of a recording of several [default: the first].
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// All cameras in their common frame: one file per frame of the first camera, with the frame
+    /// of every other that is nearest in time (ply and spheres).
+    #[arg(long, conflicts_with = "camera")]
+    pub merge: bool,
 }
 
 /// Form of exported files.

@@ -3,20 +3,21 @@
 use super::args::{CameraArgs, ExrDepthArg, LiveArgs, RangeArgs};
 use super::failure::Failure;
 use super::message;
-use saint_live::capture::color::ColorSource as ColorCamera;
 use saint_live::capture::sequences::{self, ExrDepth, SequenceOptions};
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
 use saint_live::capture::v4l2::{V4l2Options, V4l2Source};
 use saint_live::capture::{CaptureError, FrameSource, Next, SourceLosses};
 use saint_live::frame::{Camera, ColorFrame, DepthFrame};
 use saint_live::intrinsics::{Calibration, IntrinsicsError};
-use saint_live::pipeline::color::ColorSource;
+use saint_live::rig::Pose;
 use std::io::Read;
 use std::path::Path;
-use std::time::Duration;
 
+mod color;
 mod recorded;
 mod repeated;
+
+pub use color::{Color, color};
 
 use recorded::RecordedSource;
 use repeated::Repeated;
@@ -28,7 +29,7 @@ const LOOP_PERIOD_NS: i64 = 33_333_333;
 
 /// The camera that `--device` names.
 pub fn live(args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
-    let Some(device) = args.device.as_deref() else {
+    let Some(device) = args.device.first().map(String::as_str) else {
         return Err(Failure::usage(
             "no --device given; name a camera (saint-live devices lists them), auto, or synthetic:room",
         ));
@@ -95,35 +96,6 @@ fn synthetic(device: &str, args: &LiveArgs) -> Result<Box<dyn FrameSource>, Fail
         options.unit_m = unit.0;
     }
     Ok(Box::new(SyntheticSource::open(options)?))
-}
-
-/// The colour camera that `--color-device` names.
-pub fn color(args: &LiveArgs) -> Result<Option<Color>, Failure> {
-    let Some(device) = args.color_device.as_deref() else {
-        return Ok(None);
-    };
-    Ok(Some(Color(ColorCamera::open(device, None, args.fps)?)))
-}
-
-/// A colour camera as the pipeline asks it.
-pub struct Color(ColorCamera);
-
-impl ColorSource for Color {
-    fn next(&mut self, color: &mut ColorFrame) -> Result<Next, CaptureError> {
-        // the camera's own thread keeps the newest images; look every 5 ms for a tenth of a second
-        for _ in 0..20 {
-            if let Some(image) = self.0.take() {
-                *color = image;
-                return Ok(Next::Frame);
-            }
-            if self.0.error().is_some() {
-                // it was told when it happened
-                return Ok(Next::End);
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        Ok(Next::Waiting(None))
-    }
 }
 
 /// How a recorded input is read.
@@ -223,6 +195,13 @@ fn calibration(args: &CameraArgs) -> Result<Option<Calibration>, Failure> {
         Err(error @ IntrinsicsError::Text { .. }) => Err(Failure::usage(error)),
         Err(error) => Err(Failure::new(super::failure::Kind::Input, error)),
     }
+}
+
+/// Where a synthetic camera stands in its scene; `None` for other devices.
+pub fn synthetic_pose(device: &str) -> Option<Pose> {
+    let text = device.strip_prefix("synthetic:")?;
+    let place = SyntheticOptions::parse(text).ok()?.placement();
+    Pose::from_quaternion(place.position.to_array(), place.rotation.to_array()).ok()
 }
 
 /// Says what the camera is: size, rate, intrinsics, unit, and who says so.

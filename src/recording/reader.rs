@@ -149,6 +149,18 @@ impl RecordingReader {
         Ok(true)
     }
 
+    /// When the frame that [`next_frame`](Self::next_frame) reads was taken; `None` at the end and
+    /// before a damaged place.
+    pub fn next_time(&mut self) -> Option<FrameTime> {
+        if self.position >= self.frames() {
+            return None;
+        }
+        let chunk = self.chunk_of(self.position);
+        self.load(chunk).ok()?;
+        let inside = (self.position - self.index.chunks[chunk].first_frame) as usize;
+        Some(self.loaded.frames.get(inside)?.0.time)
+    }
+
     /// Goes to the key frame at or before `frame`.
     ///
     /// # Errors

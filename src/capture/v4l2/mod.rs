@@ -271,7 +271,7 @@ impl V4l2Source {
         let text = format!("no frame for {:.1} s", silent.as_secs_f64());
         match judge_silence(silent, self.restarts, self.give_up) {
             Silence::Wait => Ok(Step::Waiting(None)),
-            Silence::Tell => Ok(Step::Waiting(Some(self.told(&text)))),
+            Silence::Tell => Ok(Step::Waiting(Some(self.told("no frame comes, waiting")))),
             Silence::Restart => {
                 self.restarts += 1;
                 self.reopen();
@@ -373,7 +373,12 @@ impl V4l2Source {
     }
 
     fn found(&mut self, found: Found) {
-        tracing::warn!("{}: `{}` is back", found.path.display(), self.camera.name);
+        tracing::warn!(
+            "{}: `{}` streams again after {:.1} s",
+            found.path.display(),
+            self.camera.name,
+            self.last_frame.elapsed().as_secs_f64()
+        );
         self.path = found.path;
         self.rows = found.rows;
         self.link = Link::Streaming(found.ring);

@@ -7,7 +7,7 @@ use super::node::VideoNode;
 use super::reconnect::{self, Identity};
 use super::ring::Ring;
 use super::setup::{self, Refused};
-use crate::capture::devices;
+use crate::capture::{CaptureError, devices};
 use crossbeam_channel::{Receiver, bounded};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -80,7 +80,11 @@ fn attempt(search: &Search) -> Attempt {
     };
     match start(&path, search) {
         Ok((ring, rows)) => Attempt::Found(Found { path, ring, rows }),
-        Err(refused) => Attempt::Refused(refused.at(&path).to_string()),
+        Err(refused) => Attempt::Refused(match refused.at(&path) {
+            // who is told knows the node
+            CaptureError::Device { what, remedy, .. } => format!("{what}; {remedy}"),
+            other => other.to_string(),
+        }),
     }
 }
 
