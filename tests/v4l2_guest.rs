@@ -208,7 +208,7 @@ fn each_frame_the_camera_made_is_recorded_or_counted_by_its_cause() {
             .any(|n| !lost.is_empty() && [5, 9].contains(n));
         assert!(!bad, "{name}: damaged frames were recorded: {numbers:?}");
     }
-    let told = |name: &str, text: &str| {
+    let told = |name: &'static str, text: &str| {
         let errors = scenario(name).errors;
         assert!(errors.contains(text), "{name}: no {text:?} in\n{errors}");
     };

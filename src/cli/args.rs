@@ -300,6 +300,10 @@ pub struct ReplayArgs {
     /// Carry the colour images beside the depth along, bytes untouched, as a channel of their own.
     #[arg(long)]
     pub color: bool,
+    /// Lens of the colour camera and its pose in the depth camera's frame (TOML), recorded for
+    /// `export --to ply`.
+    #[arg(long, value_name = "FILE", requires = "color")]
+    pub color_camera: Option<PathBuf>,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]

@@ -59,7 +59,10 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
         )));
     }
     let engine = Engine::resolve(&args.engine, &args.map)?;
-    let run = Run::new(engine, &args.stream, name, quiet)?;
+    let mut run = Run::new(engine, &args.stream, name, quiet)?;
+    if let Some(path) = &args.color_camera {
+        run.note_color_camera(&ColorCamera::read(path)?)?;
+    }
     let options = InputOptions {
         camera: args.camera.clone(),
         range: args.range,
