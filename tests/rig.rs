@@ -1,5 +1,9 @@
 //! Several cameras in one recording, and colour beside depth, as a user does it.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking"
+)]
 
 mod program;
 
