@@ -154,6 +154,7 @@ fn cameras_are_listed_named_and_refused() {
         scenario(name).expect(0, "1 of 1 frames");
     }
     scenario("nobody").expect(3, "serial SIM0001");
+    scenario("forbidden").expect(3, "permission denied; join its group `video`");
     scenario("busy").expect(3, "saint-live (pid ");
 
     let list = |name: &str| -> Value {
@@ -170,6 +171,12 @@ fn cameras_are_listed_named_and_refused() {
     assert_eq!(sizes.len(), 3, "{idle}");
     assert_eq!(sizes[0]["fps"].as_array().unwrap().len(), 3, "{idle}");
     assert_eq!(idle["devices"][1]["kind"], "metadata", "{idle}");
+    let closed = list("forbidden");
+    let camera = &closed["devices"][0];
+    assert_eq!(camera["kind"], "unreadable", "{closed}");
+    assert_eq!(camera["serial"], "SIM0001", "{closed}");
+    let reason = camera["reason"].as_str().unwrap_or_default();
+    assert!(reason.contains("group `video`"), "{closed}");
     let streaming = list("listed");
     let camera = &streaming["devices"][0];
     assert_eq!(camera["busy"], true, "{streaming}");
@@ -302,4 +309,42 @@ fn errors_of_the_driver_are_refused_with_a_remedy_or_survived() {
         }
         eprintln!("{name}: {} written, {drops:?}", total["frames"]);
     }
+}
+
+#[test]
+fn of_two_cameras_one_goes_on_without_the_other() {
+    let Some(folder) = results() else { return };
+    let rig = Scenario::read(&folder, "rig");
+    rig.expect(0, "was unplugged after 15 frames");
+    let text = fs::read_to_string(folder.join("rig.out")).unwrap();
+    let finals: Vec<Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .filter(|line: &Value| line["final"] == true)
+        .collect();
+    let of = |name: &str| finals.iter().find(|line| line["camera"] == name).unwrap();
+    assert_eq!(of("usb")["sensor_frames"], 15, "{text}");
+    assert_eq!(of("usb")["drops"]["sensor_gap"], 0, "{text}");
+    assert!(of("test")["sensor_frames"].as_u64() > Some(60), "{text}");
+    // the frames exported are the first camera's
+    let numbers = rig.frames(SMALL);
+    assert_increasing("rig", &numbers);
+    assert_eq!(of("usb")["frames"], numbers.len() as u64);
+}
+
+#[test]
+fn a_colour_camera_that_breaks_does_not_stop_depth() {
+    let Some(folder) = results() else { return };
+    let color = Scenario::read(&folder, "color");
+    color.expect(0, "depth goes on without it");
+    let numbers = color.frames(SMALL);
+    assert_increasing("color", &numbers);
+    let last = u64::from(numbers[numbers.len() - 1]);
+    color.expect_counts(last + 1, numbers.len(), &[]);
+    let total = color.total();
+    assert!(total["color_frames"].as_u64() > Some(0), "{total}");
+    eprintln!(
+        "color: {} images, {} dropped",
+        total["color_frames"], total["color_dropped"]
+    );
 }

@@ -1,6 +1,7 @@
 //! Frames as a stream: determinism, pacing, gaps, odd scenes.
 
 use super::*;
+use glam::DVec3;
 
 #[test]
 fn a_frame_depends_on_its_number_and_seed_alone() {
