@@ -2,7 +2,7 @@
 //!
 //! [`V4l2Source`] opens a node (`setup`), drains its buffers (`ring`) and turns each into a frame
 //! ([`depth_format`], [`clock`], [`loss`]). What a camera may do to us (stall, break, leave and
-//! come back) is met in one place, its `next`; the decisions themselves are pure.
+//! come back) is met in one place (`recovery`); the decisions themselves are pure.
 
 pub mod clock;
 pub mod depth_format;
@@ -16,6 +16,7 @@ pub mod node_kind;
 pub mod offer;
 mod realsense;
 pub mod reconnect;
+mod recovery;
 pub mod refusal;
 mod reopen;
 mod ring;
@@ -27,14 +28,12 @@ use super::{CaptureError, FrameSource, Next, SourceLosses};
 use crate::frame::{Camera, ColorFrame, DepthFrame, Intrinsics};
 use clock::{ClockNote, FrameClock, monotonic_ns};
 use depth_format::Rows;
-use loss::{SequenceCounter, Silence, judge_silence};
+use loss::SequenceCounter;
 use negotiation::{Plan, Wish};
 use reconnect::Identity;
-use refusal::Outlook;
-use reopen::{Attempt, Found, Reopening, Search};
+use reopen::Reopening;
 use ring::{Ring, Waited};
 use setup::Opened;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -86,12 +85,6 @@ impl Default for V4l2Options {
 
 /// Longest time [`V4l2Source::next`] takes to say that there is no frame.
 const POLL: Duration = Duration::from_millis(150);
-/// Pause before a driver without a frame is asked again.
-const RETRY: Duration = Duration::from_millis(20);
-/// Pause before the camera is looked for again.
-const LOOK_AGAIN: Duration = Duration::from_millis(200);
-/// A stream broken oftener than this in a row is started anew without haste.
-const HASTY_RESTARTS: u32 = 3;
 
 /// A depth camera behind a V4L2 node. Stopped and closed on drop.
 pub struct V4l2Source {
@@ -262,145 +255,6 @@ impl V4l2Source {
             ClockNote::Unknown => {
                 tracing::warn!("{path}: frame stamps on an unknown clock, arrival times used");
             }
-        }
-    }
-
-    /// No frame within the timeout.
-    fn silent(&mut self) -> Result<Step, CaptureError> {
-        let silent = self.last_frame.elapsed();
-        let text = format!("no frame for {:.1} s", silent.as_secs_f64());
-        match judge_silence(silent, self.restarts, self.give_up) {
-            Silence::Wait => Ok(Step::Waiting(None)),
-            Silence::Tell => Ok(Step::Waiting(Some(self.told("no frame comes, waiting")))),
-            Silence::Restart => {
-                self.restarts += 1;
-                self.reopen();
-                Ok(Step::Waiting(Some(
-                    self.told(&format!("{text}, starting the stream again")),
-                )))
-            }
-            Silence::GiveUp => Err(self.given_up(&text)),
-        }
-    }
-
-    /// The driver reported an error instead of a frame.
-    fn broken(&mut self, error: &io::Error) -> Result<Step, CaptureError> {
-        let text = match refusal::outlook(error) {
-            Outlook::Again => {
-                std::thread::sleep(RETRY);
-                return Ok(Step::Again);
-            }
-            Outlook::Gone => format!(
-                "`{}` was unplugged after {} frames, waiting for it",
-                self.camera.name, self.frames
-            ),
-            Outlook::Restart => format!("{error}; starting the stream again"),
-        };
-        self.restarts += 1;
-        if self.restarts > HASTY_RESTARTS {
-            std::thread::sleep(LOOK_AGAIN.min(POLL));
-        }
-        self.reopen();
-        Ok(Step::Waiting(Some(self.told(&text))))
-    }
-
-    /// Closes the node and looks for the camera: nothing of a broken stream is kept. Frames the
-    /// driver had ready are lost with it.
-    fn reopen(&mut self) {
-        let search = Search {
-            identity: self.identity.clone(),
-            path: self.path.clone(),
-            plan: self.plan,
-            wish: self.wish,
-        };
-        let lost = Link::Lost(Instant::now() + LOOK_AGAIN);
-        let broken = match std::mem::replace(&mut self.link, lost) {
-            Link::Streaming(ring) => {
-                self.losses.stall += ring.finished();
-                Some(ring)
-            }
-            _ => None,
-        };
-        match Reopening::start(search, broken) {
-            Ok(opening) => self.link = Link::Opening(opening),
-            Err(error) => tracing::warn!("{}: no thread: {error}", self.path.display()),
-        }
-    }
-
-    /// The camera is away: looks for it, whatever its node's number is now.
-    fn come_back(&mut self, pause: Duration) -> Result<Step, CaptureError> {
-        let until = match &self.link {
-            Link::Streaming(_) => return Ok(Step::Again),
-            Link::Opening(opening) => match opening.poll(pause) {
-                Some(Attempt::Found(found)) => {
-                    self.found(found);
-                    return Ok(Step::Again);
-                }
-                Some(Attempt::Absent) => {
-                    self.trouble = format!("`{}` is not plugged in", self.camera.name);
-                    Instant::now() + LOOK_AGAIN
-                }
-                Some(Attempt::Refused(text)) => {
-                    self.trouble = text;
-                    Instant::now() + LOOK_AGAIN
-                }
-                None => return self.still_away(),
-            },
-            Link::Lost(until) => {
-                let left = until.saturating_duration_since(Instant::now());
-                std::thread::sleep(left.min(pause));
-                *until
-            }
-        };
-        self.link = Link::Lost(until);
-        if Instant::now() >= until {
-            self.reopen();
-        }
-        self.still_away()
-    }
-
-    /// Whether to go on waiting for a camera that is away.
-    fn still_away(&self) -> Result<Step, CaptureError> {
-        if self
-            .give_up
-            .is_some_and(|limit| self.last_frame.elapsed() >= limit)
-        {
-            return Err(self.given_up(&self.trouble));
-        }
-        let told = !self.trouble.is_empty();
-        let text = told.then(|| self.told(&format!("{}; waiting for it", self.trouble)));
-        Ok(Step::Waiting(text))
-    }
-
-    fn found(&mut self, found: Found) {
-        tracing::warn!(
-            "{}: `{}` streams again after {:.1} s",
-            found.path.display(),
-            self.camera.name,
-            self.last_frame.elapsed().as_secs_f64()
-        );
-        self.path = found.path;
-        self.rows = found.rows;
-        self.link = Link::Streaming(found.ring);
-        self.counter.restart();
-        self.trouble.clear();
-    }
-
-    fn told(&self, text: &str) -> String {
-        format!("{}: {text}", self.path.display())
-    }
-
-    fn given_up(&self, text: &str) -> CaptureError {
-        CaptureError::Device {
-            device: self.path.display().to_string(),
-            what: format!(
-                "{text}; given up {:.1} s after the last of {} frames",
-                self.last_frame.elapsed().as_secs_f64(),
-                self.frames
-            ),
-            remedy: "unplug the camera, plug it in again and start again (without --give-up it \
-                     is waited for); `dmesg` may say more"
-                .into(),
         }
     }
 }
