@@ -31,6 +31,7 @@ pub mod frame;
 
 pub mod capture;
 pub mod intrinsics;
+pub mod rig;
 
 pub mod deproject;
 pub mod partition;

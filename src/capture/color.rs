@@ -6,14 +6,16 @@
 use super::CaptureError;
 use super::color_image::{jpeg_image, png_of_yuyv};
 use super::color_open::{ColorPlan, open_camera, plan, prepare, refuse};
-use super::devices;
+use super::devices::naming::DeviceName;
+use super::devices::{self, DeviceReport};
 use super::v4l2::clock::{FrameClock, monotonic_ns};
+use super::v4l2::node_kind::NodeKind;
 use super::v4l2::refusal;
 use crate::frame::ColorFrame;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use nokhwa::Camera;
 use nokhwa::utils::FrameFormat;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::{self, JoinHandle};
@@ -56,7 +58,8 @@ struct Shared {
 }
 
 impl ColorSource {
-    /// Opens `/dev/videoN` or `N` and starts its thread. MJPG is preferred, YUYV taken.
+    /// Opens the camera `device` names ([`DeviceName`]) and starts its thread. MJPG is preferred,
+    /// YUYV taken.
     ///
     /// # Errors
     /// [`CaptureError::Device`] when the node is not a colour camera, has neither format, or is
@@ -66,9 +69,16 @@ impl ColorSource {
         size: Option<(u32, u32)>,
         fps: Option<u32>,
     ) -> Result<Self, CaptureError> {
-        let path = match device.parse::<u32>() {
-            Ok(number) => PathBuf::from(format!("/dev/video{number}")),
-            Err(_) => PathBuf::from(device),
+        let path = match DeviceName::parse(device) {
+            DeviceName::Path(path) => path,
+            name => {
+                let is_color = |report: &DeviceReport| report.kind == NodeKind::Color;
+                let chosen = name.choose(&devices::describe_all(), is_color, "colour");
+                chosen.map_err(|what| {
+                    let remedy = "choose a colour camera that `saint-live devices` lists";
+                    refuse(Path::new(device), what, remedy.into())
+                })?
+            }
         };
         let path = std::fs::canonicalize(&path)
             .map_err(|error| refusal::device_error(&path, "open it", &error))?;
@@ -157,10 +167,7 @@ impl ColorSource {
             Some(Ok(Err(error))) => error,
             Some(Err(_)) => "its thread ended unexpectedly".into(),
         };
-        tracing::warn!(
-            "{}: no more colour: {error}; depth goes on",
-            self.path.display()
-        );
+        tracing::debug!("{}: no more colour: {error}", self.path.display());
         self.error = Some(error);
     }
 }

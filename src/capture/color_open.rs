@@ -136,6 +136,8 @@ mod tests {
             kind,
             depth: false,
             reason: "the reason".into(),
+            busy: None,
+            held_by: Vec::new(),
             formats: codes.iter().map(format).collect(),
         }
     }

@@ -1,5 +1,8 @@
 //! The cameras this machine has: every `/dev/video*`, what it offers, and which one is depth.
 
+pub(super) mod access;
+pub mod naming;
+
 use super::v4l2::depth_format::DepthFormat;
 use super::v4l2::fourcc::FourCc;
 use super::v4l2::node::{Capability, VideoNode};
@@ -32,6 +35,10 @@ pub struct DeviceReport {
     pub depth: bool,
     /// Why it is of this kind, or why it could not be asked.
     pub reason: String,
+    /// True while a program streams from it; `None` where that is not known.
+    pub busy: Option<bool>,
+    /// Other programs that have it open, as far as this user may see: `name (pid 123)`.
+    pub held_by: Vec<String>,
     /// What it offers.
     pub formats: Vec<OfferedFormat>,
 }
@@ -60,9 +67,30 @@ pub struct DeviceList {
 #[must_use]
 pub fn list_devices() -> DeviceList {
     DeviceList {
-        devices: video_nodes().iter().map(|path| describe(path)).collect(),
+        devices: describe_all()
+            .into_iter()
+            .map(|report| DeviceReport {
+                busy: is_busy(&report),
+                held_by: access::holders(&report.path),
+                ..report
+            })
+            .collect(),
         without_node: usb::d16_cameras().iter().map(nodeless).collect(),
     }
+}
+
+/// What every node is, by number. Leaves `busy` and `held_by` open.
+#[must_use]
+pub fn describe_all() -> Vec<DeviceReport> {
+    video_nodes().iter().map(|path| describe(path)).collect()
+}
+
+/// Whether a program streams from a node with images.
+fn is_busy(report: &DeviceReport) -> Option<bool> {
+    if report.formats.is_empty() {
+        return None;
+    }
+    VideoNode::open(&report.path).ok()?.is_busy()
 }
 
 /// All `/dev/video*`, by number.
@@ -107,6 +135,8 @@ pub fn describe(path: &Path) -> DeviceReport {
             kind: NodeKind::Unreadable,
             depth: false,
             reason: error.to_string(),
+            busy: None,
+            held_by: Vec::new(),
             formats: Vec::new(),
         },
     }
@@ -130,6 +160,8 @@ pub(super) fn report(
         kind,
         depth: kind == NodeKind::Depth,
         reason,
+        busy: None,
+        held_by: Vec::new(),
         formats,
     }
 }

@@ -33,7 +33,7 @@ pub struct SourceLosses {
     pub sensor_gap: u64,
     /// Frames the driver flagged as damaged, or that were short.
     pub damaged: u64,
-    /// Frames given up to recover a stalled stream.
+    /// Whole frames the driver held when a broken stream had to be started anew.
     pub stall: u64,
 }
 
@@ -55,6 +55,11 @@ pub trait FrameSource: Send {
     /// The colour image recorded beside the frame last returned, where the source has one.
     fn take_color(&mut self) -> Option<ColorFrame> {
         None
+    }
+    /// Facts worth keeping about where the frames come from: device, clock, who gave the
+    /// intrinsics. Names are fixed, values are for people.
+    fn notes(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
     }
     /// Frames lost so far, by cause.
     fn losses(&self) -> SourceLosses {

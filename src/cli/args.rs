@@ -1,6 +1,6 @@
 //! The arguments as they are typed.
 
-use super::values::{Length, duration, factor, length, length_or_zero, size};
+use super::values::{Length, duration, duration_or_zero, factor, length, length_or_zero, size};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use saint_live::fit::contact_distance::ContactDistance;
@@ -61,14 +61,22 @@ pub enum Command {
 }
 
 /// Live capture.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct LiveArgs {
-    /// Depth camera: /dev/videoN, N, auto, or synthetic:SCENE[,key=value...].
+    /// Depth camera: /dev/videoN, N, a serial number, a bus id (`devices` lists them), auto, or
+    /// synthetic:SCENE[,key=value...]. Given more than once, all are recorded together.
     #[arg(short, long, value_name = "DEVICE")]
-    pub device: Option<String>,
-    /// Colour camera recorded beside it: /dev/videoN or N.
-    #[arg(long, value_name = "DEVICE")]
+    pub device: Vec<String>,
+    /// Record the cameras of this TOML file together: names, devices, poses.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["device", "intrinsics", "depth_unit"])]
+    pub rig: Option<PathBuf>,
+    /// Colour camera recorded beside it, named as --device. When it fails, depth goes on.
+    #[arg(long, value_name = "DEVICE", conflicts_with = "rig")]
     pub color_device: Option<String>,
+    /// Lens of the colour camera and its pose in the depth camera's frame (TOML): makes `export
+    /// --to ply` give points their colours.
+    #[arg(long, value_name = "FILE", requires = "color_device")]
+    pub color_camera: Option<PathBuf>,
     /// Image size to ask the camera for.
     #[arg(short, long, value_name = "WxH", value_parser = size)]
     pub size: Option<(u32, u32)>,
@@ -78,8 +86,13 @@ pub struct LiveArgs {
     /// Format to ask the camera for: Z16, Y16, Y14, Y12, Y10, Y10B.
     #[arg(long, value_name = "FOURCC")]
     pub pixel_format: Option<String>,
-    /// Wait for an unplugged camera to come back instead of ending.
-    #[arg(long)]
+    /// End with exit code 3 when an unplugged, silent or broken camera has sent nothing for this
+    /// long (0 ends at an unplug). Without it the camera is waited for, whatever node it comes
+    /// back as.
+    #[arg(long, value_name = "TIME", value_parser = duration_or_zero)]
+    pub give_up: Option<Duration>,
+    /// Wait for an unplugged camera to come back: the default.
+    #[arg(long, hide = true, conflicts_with = "give_up")]
     pub reconnect: bool,
     #[command(flatten)]
     pub camera: CameraArgs,
@@ -287,6 +300,10 @@ pub struct ReplayArgs {
     /// Carry the colour images beside the depth along, bytes untouched, as a channel of their own.
     #[arg(long)]
     pub color: bool,
+    /// Lens of the colour camera and its pose in the depth camera's frame (TOML), recorded for
+    /// `export --to ply`.
+    #[arg(long, value_name = "FILE", requires = "color")]
+    pub color_camera: Option<PathBuf>,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]
@@ -347,6 +364,13 @@ pub struct ExportArgs {
     /// Replace files that exist.
     #[arg(long)]
     pub overwrite: bool,
+    /// The camera to export, of a recording of several [default: the first].
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// All cameras in their common frame: one file per frame of the first camera, with the frame
+    /// of every other that is nearest in time (ply and spheres).
+    #[arg(long, conflicts_with = "camera")]
+    pub merge: bool,
 }
 
 /// Form of exported files.

@@ -157,12 +157,22 @@ impl Engine {
         })
     }
 
-    /// Starts the worker threads of the model stage. Once per process.
+    /// Starts the worker threads of the model stage. Once per process. One thread is the caller's
+    /// own.
     pub fn start_workers(&self) -> Result<(), Failure> {
+        self.start_pool(self.threads == 1)
+    }
+
+    /// Starts the worker threads that the model stages of several cameras share.
+    pub fn start_shared_workers(&self) -> Result<(), Failure> {
+        self.start_pool(false)
+    }
+
+    fn start_pool(&self, callers_own: bool) -> Result<(), Failure> {
         let mut pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.threads)
             .thread_name(|n| format!("model-{n}"));
-        if self.threads == 1 {
+        if callers_own {
             pool = pool.use_current_thread();
         }
         pool.build_global().map_err(|error| {

@@ -5,8 +5,11 @@ use super::failure::{Failure, Kind};
 use super::tape::Tape;
 use super::{message, signals, status};
 use saint_live::capture::CaptureError;
-use saint_live::export::{ExportError, FileSequence, Format, Output};
+use saint_live::export::{ExportError, FileSequence, Format, Output, Painter};
+use saint_live::rig::{COLOR_CAMERA_NOTE, ColorCamera};
 use std::sync::atomic::Ordering;
+
+mod merge;
 
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
@@ -14,6 +17,7 @@ impl From<ExportError> for Failure {
             ExportError::Exists { .. }
             | ExportError::UnknownFormat(_)
             | ExportError::SingleFile { .. }
+            | ExportError::NoUnion { .. }
             | ExportError::NoGrid { .. } => Kind::Usage,
             ExportError::Write { .. } => Kind::Output,
             ExportError::Empty { .. } => Kind::Input,
@@ -34,7 +38,18 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         ExportArg::Png => Format::Png,
         ExportArg::Png16 => Format::Png16,
     };
-    let mut tape = Tape::open(&args.file)?;
+    let mut tape = match &args.camera {
+        Some(name) => Tape::open_camera(&args.file, name)?,
+        None if args.merge => merge::first(&args.file)?,
+        None => Tape::open(&args.file)?,
+    };
+    let mut others = match args.merge {
+        true => {
+            format.check_union()?;
+            Some(merge::Others::open(&args.file, &tape)?)
+        }
+        false => None,
+    };
     let from = args.from;
     let to = args
         .frames
@@ -63,15 +78,32 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         format.check_cloud(from)?;
     }
     let mut files = FileSequence::create(format, output, args.overwrite)?;
+    let color_camera: Option<ColorCamera> = tape.note(COLOR_CAMERA_NOTE);
+    let mut painter = color_camera
+        .filter(|_| format == Format::Ply)
+        .map(Painter::new);
     let bar = (!quiet).then(|| status::progress(to.saturating_sub(from)));
     while let Some(number) = tape.advance() {
         if number >= to || stop.load(Ordering::Relaxed) {
             break;
         }
+        if let Some(painter) = &mut painter {
+            for image in tape.take_colors() {
+                painter.offer(image);
+            }
+        }
         if number >= from {
-            match tape.cloud() {
-                Some(cloud) => files.cloud(&cloud, number)?,
-                None => files.frame(&tape.frame(), number)?,
+            if let Some(others) = &mut others {
+                files.union(&others.beside(&tape), number)?;
+            } else {
+                match (tape.cloud(), &mut painter) {
+                    (Some(cloud), _) => files.cloud(&cloud, number)?,
+                    (None, Some(painter)) => match painter.paint(&tape.frame()) {
+                        Some(colors) => files.painted(&tape.frame(), colors, number)?,
+                        None => files.frame(&tape.frame(), number)?,
+                    },
+                    (None, None) => files.frame(&tape.frame(), number)?,
+                }
             }
             if let Some(bar) = &bar {
                 bar.inc(1);
@@ -87,6 +119,9 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
             "wrote {}: {} files, {} bytes",
             summary.path, summary.files, summary.bytes
         ));
+    }
+    if let Some(others) = others {
+        others.finish(quiet)?;
     }
     tape.finish()
 }

@@ -3,6 +3,7 @@
 use saint_live::capture::CaptureError;
 use saint_live::pipeline::PipelineError;
 use saint_live::recording::RecordingError;
+use saint_live::rig::RigError;
 use std::fmt;
 use std::io;
 
@@ -41,6 +42,14 @@ impl Failure {
         }
     }
 
+    /// The same failure, with its place in front.
+    pub fn at(self, place: &str) -> Self {
+        Self {
+            message: format!("{place}: {}", self.message),
+            ..self
+        }
+    }
+
     /// A wrong request.
     pub fn usage(message: impl fmt::Display) -> Self {
         Self::new(Kind::Usage, message)
@@ -68,6 +77,11 @@ impl Failure {
         }
     }
 
+    /// True where the output failed.
+    pub fn is_output(&self) -> bool {
+        self.kind == Kind::Output
+    }
+
     /// True where there is nothing to say.
     pub fn is_silent(&self) -> bool {
         self.kind == Kind::Closed
@@ -88,6 +102,12 @@ impl From<CaptureError> for Failure {
             CaptureError::Input { .. } => Kind::Input,
         };
         Self::new(kind, error)
+    }
+}
+
+impl From<RigError> for Failure {
+    fn from(error: RigError) -> Self {
+        Self::new(Kind::Input, error)
     }
 }
 

@@ -15,21 +15,37 @@ use saint_live::pipeline::color::ColorSource;
 use saint_live::pipeline::report::Report;
 use saint_live::pipeline::trace::Trace;
 use saint_live::pipeline::{self, Options, Pace, Stages};
+use saint_live::rig::{COLOR_CAMERA_NOTE, ColorCamera};
+use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::Path;
+
+mod rig;
 
 /// `saint-live --device ...`
 pub fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
-    let device = args.device.clone().unwrap_or_default();
+    if args.rig.is_some() || args.device.len() > 1 {
+        return rig::capture(args, quiet);
+    }
+    let device = args.device.first().cloned().unwrap_or_default();
     let engine = Engine::resolve(&args.engine, &args.map)?;
-    let run = Run::new(engine, &args.stream, device, quiet)?;
+    let mut run = Run::new(engine, &args.stream, device, quiet)?;
+    if let Some(path) = &args.color_camera {
+        run.note_color_camera(&ColorCamera::read(path)?)?;
+    }
     let mut source = source::live(args)?;
-    let color = source::color(args)?;
-    let pace = if source.is_live() {
+    let color = source::color(args);
+    let pace = pace_of(source.as_ref());
+    run.stream(source.as_mut(), color, pace)
+}
+
+/// A camera does not wait; a sensor that is asked for each frame does.
+fn pace_of(source: &dyn FrameSource) -> Pace {
+    if source.is_live() {
         Pace::Live
     } else {
         Pace::Block
-    };
-    run.stream(source.as_mut(), color, pace)
+    }
 }
 
 /// `saint-live replay INPUT`
@@ -43,7 +59,10 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
         )));
     }
     let engine = Engine::resolve(&args.engine, &args.map)?;
-    let run = Run::new(engine, &args.stream, name, quiet)?;
+    let mut run = Run::new(engine, &args.stream, name, quiet)?;
+    if let Some(path) = &args.color_camera {
+        run.note_color_camera(&ColorCamera::read(path)?)?;
+    }
     let options = InputOptions {
         camera: args.camera.clone(),
         range: args.range,
@@ -76,6 +95,8 @@ struct Run<'a> {
     stream: &'a StreamArgs,
     source: String,
     quiet: bool,
+    /// Facts to record beside the engine's and the source's own.
+    notes: BTreeMap<String, String>,
 }
 
 impl<'a> Run<'a> {
@@ -95,7 +116,47 @@ impl<'a> Run<'a> {
             stream,
             source,
             quiet,
+            notes: BTreeMap::new(),
         })
+    }
+
+    /// Records a fact as JSON.
+    fn note(&mut self, name: &str, fact: &impl Serialize) -> Result<(), Failure> {
+        let text = serde_json::to_string(fact).map_err(|e| Failure::new(Kind::Failure, e))?;
+        self.notes.insert(name.to_owned(), text);
+        Ok(())
+    }
+
+    /// Says and records what the colour camera is taken for.
+    fn note_color_camera(&mut self, camera: &ColorCamera) -> Result<(), Failure> {
+        if !self.quiet {
+            let k = camera.intrinsics;
+            message::say(&format!(
+                "colour camera: {}x{}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}, pose as given",
+                camera.width, camera.height, k.fx, k.fy, k.cx, k.cy
+            ));
+        }
+        self.note(COLOR_CAMERA_NOTE, camera)
+    }
+
+    /// Everything the recording keeps about how it was made.
+    fn all_notes(&self, source: &dyn FrameSource) -> BTreeMap<String, String> {
+        let mut notes = self.engine.notes(&self.source);
+        let facts = source.notes().into_iter();
+        notes.extend(facts.map(|(name, fact)| (name.to_owned(), fact)));
+        notes.extend(self.notes.clone());
+        notes
+    }
+
+    /// The pipeline's options for a camera.
+    fn options(&self, camera: &Camera, pace: Pace) -> Options {
+        Options {
+            threads: self.engine.threads,
+            pace,
+            budget: self.budget(camera, pace),
+            frames: self.stream.frames,
+            duration: self.stream.duration,
+        }
     }
 
     /// The contract: one frame period live, none for a replay that asks for none.
@@ -126,20 +187,14 @@ impl<'a> Run<'a> {
         let stop = signals::stop_flag()?;
         let camera = source.camera().clone();
         if !self.quiet {
-            source::introduce(&camera);
+            source::introduce(source);
         }
         self.engine.start_workers()?;
         let mut model = ModelStage::new(&camera, &self.engine)?;
         let mut encode = EncodeStage::new(&camera, &self.engine)?;
-        let mut output = Output::open(self.stream, &camera, self.engine.notes(&self.source))?;
+        let mut output = Output::open(self.stream, &camera, self.all_notes(source))?;
         let trace = self.trace()?;
-        let options = Options {
-            threads: self.engine.threads,
-            pace,
-            budget: self.budget(&camera, pace),
-            frames: self.stream.frames,
-            duration: self.stream.duration,
-        };
+        let options = self.options(&camera, pace);
         // a live stream has no end to measure progress by, unless one was set
         let expected = match (source.len_hint(), self.stream.frames) {
             (Some(hint), Some(most)) => Some(hint.min(most)),
@@ -162,18 +217,23 @@ impl<'a> Run<'a> {
         if let Some(error) = &outcome.color {
             message::say(&format!("saint-live: colour ended early: {error}"));
         }
-        if let (Some(summary), false) = (&output.summary, self.quiet) {
-            message::say(&format!(
-                "wrote {}: {} frames, {} bytes",
-                summary.target, summary.frames, summary.bytes
-            ));
-        }
+        self.say_written(&output);
         outcome.result?;
         shown?;
         if outcome.report.frames == 0 && self.stream.frames != Some(0) {
             self.nothing_written(&outcome.report, pace)?;
         }
         self.judge(&outcome.report)
+    }
+
+    /// Says what was written, where this side of the recording closed it.
+    fn say_written(&self, output: &Output) {
+        if let (Some(summary), false) = (&output.summary, self.quiet) {
+            message::say(&format!(
+                "wrote {}: {} frames, {} bytes",
+                summary.target, summary.frames, summary.bytes
+            ));
+        }
     }
 
     /// A replay without a single frame is a bad input; a camera stopped at once is not.

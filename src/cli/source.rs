@@ -3,20 +3,21 @@
 use super::args::{CameraArgs, ExrDepthArg, LiveArgs, RangeArgs};
 use super::failure::Failure;
 use super::message;
-use saint_live::capture::color::ColorSource as ColorCamera;
 use saint_live::capture::sequences::{self, ExrDepth, SequenceOptions};
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
 use saint_live::capture::v4l2::{V4l2Options, V4l2Source};
 use saint_live::capture::{CaptureError, FrameSource, Next, SourceLosses};
 use saint_live::frame::{Camera, ColorFrame, DepthFrame};
 use saint_live::intrinsics::{Calibration, IntrinsicsError};
-use saint_live::pipeline::color::ColorSource;
+use saint_live::rig::Pose;
 use std::io::Read;
 use std::path::Path;
-use std::time::Duration;
 
+mod color;
 mod recorded;
 mod repeated;
+
+pub use color::{Color, color};
 
 use recorded::RecordedSource;
 use repeated::Repeated;
@@ -28,7 +29,7 @@ const LOOP_PERIOD_NS: i64 = 33_333_333;
 
 /// The camera that `--device` names.
 pub fn live(args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
-    let Some(device) = args.device.as_deref() else {
+    let Some(device) = args.device.first().map(String::as_str) else {
         return Err(Failure::usage(
             "no --device given; name a camera (saint-live devices lists them), auto, or synthetic:room",
         ));
@@ -63,7 +64,7 @@ pub fn live(args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
             .clone()
             .or(calibration.and_then(|c| c.invalid))
             .unwrap_or(defaults.invalid),
-        reconnect: args.reconnect,
+        give_up: args.give_up,
     };
     Ok(Box::new(V4l2Source::open(&options)?))
 }
@@ -76,6 +77,7 @@ fn synthetic(device: &str, args: &LiveArgs) -> Result<Box<dyn FrameSource>, Fail
         ("--depth-min", camera.depth_min.is_some()),
         ("--depth-max", camera.depth_max.is_some()),
         ("--invalid", camera.invalid.is_some()),
+        ("--give-up", args.give_up.is_some()),
         ("--reconnect", args.reconnect),
     ];
     if let Some((flag, _)) = unused.iter().find(|(_, given)| *given) {
@@ -94,35 +96,6 @@ fn synthetic(device: &str, args: &LiveArgs) -> Result<Box<dyn FrameSource>, Fail
         options.unit_m = unit.0;
     }
     Ok(Box::new(SyntheticSource::open(options)?))
-}
-
-/// The colour camera that `--color-device` names.
-pub fn color(args: &LiveArgs) -> Result<Option<Color>, Failure> {
-    let Some(device) = args.color_device.as_deref() else {
-        return Ok(None);
-    };
-    Ok(Some(Color(ColorCamera::open(device, None, args.fps)?)))
-}
-
-/// A colour camera as the pipeline asks it.
-pub struct Color(ColorCamera);
-
-impl ColorSource for Color {
-    fn next(&mut self, color: &mut ColorFrame) -> Result<Next, CaptureError> {
-        // the camera's own thread keeps the newest images; look every 5 ms for a tenth of a second
-        for _ in 0..20 {
-            if let Some(image) = self.0.take() {
-                *color = image;
-                return Ok(Next::Frame);
-            }
-            if self.0.error().is_some() {
-                // it was told when it happened
-                return Ok(Next::End);
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        Ok(Next::Waiting(None))
-    }
 }
 
 /// How a recorded input is read.
@@ -224,14 +197,27 @@ fn calibration(args: &CameraArgs) -> Result<Option<Calibration>, Failure> {
     }
 }
 
-/// Says what the camera is: size, rate, intrinsics, unit.
-pub fn introduce(camera: &Camera) {
+/// Where a synthetic camera stands in its scene; `None` for other devices.
+pub fn synthetic_pose(device: &str) -> Option<Pose> {
+    let text = device.strip_prefix("synthetic:")?;
+    let place = SyntheticOptions::parse(text).ok()?.placement();
+    Pose::from_quaternion(place.position.to_array(), place.rotation.to_array()).ok()
+}
+
+/// Says what the camera is: size, rate, intrinsics, unit, and who says so.
+pub fn introduce(source: &dyn FrameSource) {
+    let camera = source.camera();
+    let notes = source.notes();
+    let from = |name: &str| {
+        let note = notes.iter().find(|(known, _)| *known == name);
+        note.map_or(String::new(), |(_, who)| format!(" ({who})"))
+    };
     let k = &camera.intrinsics;
     let rate = camera
         .fps
         .map_or(String::new(), |fps| format!(" at {fps:.2} fps"));
     message::say(&format!(
-        "{}: {}x{}{rate}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}, 1 unit = {} mm, {} to {:.1} m",
+        "{}: {}x{}{rate}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}{}, 1 unit = {} mm{}, {} to {:.1} m",
         camera.name,
         camera.width,
         camera.height,
@@ -239,7 +225,9 @@ pub fn introduce(camera: &Camera) {
         k.fy,
         k.cx,
         k.cy,
+        from("intrinsics_from"),
         camera.depth_unit_m * 1e3,
+        from("depth_unit_from"),
         camera.depth_min_m,
         camera.depth_max_m,
     ));

@@ -21,6 +21,8 @@ const STATS_NS: i64 = 1_000_000_000;
 struct Line<'a> {
     #[serde(rename = "final")]
     last: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    camera: Option<&'a str>,
     #[serde(flatten)]
     report: &'a Report,
 }
@@ -31,6 +33,8 @@ pub struct Display {
     shown: bool,
     bar: Option<ProgressBar>,
     stats: Option<StatsArg>,
+    /// The camera the statistics are of, among several.
+    camera: Option<String>,
     header_due: bool,
     status_ns: i64,
     stats_ns: i64,
@@ -56,11 +60,20 @@ impl Display {
             shown,
             bar: frames.filter(|_| shown).map(progress),
             stats,
+            camera: None,
             header_due: stats == Some(StatsArg::Csv),
             status_ns: 0,
             stats_ns: 0,
             before: Report::default(),
             failure: None,
+        }
+    }
+
+    /// The statistics of one camera among several, which show nothing else.
+    pub fn of_camera(name: &str, stats: Option<StatsArg>) -> Self {
+        Self {
+            camera: Some(name.to_owned()),
+            ..Self::new(true, stats, None)
         }
     }
 
@@ -114,19 +127,30 @@ impl Display {
     fn print(&mut self, report: &Report, last: bool) {
         let text = match self.stats {
             None => return,
-            Some(StatsArg::Json) => match serde_json::to_string(&Line { last, report }) {
-                Ok(text) => text,
-                Err(error) => {
-                    self.failure = Some(Failure::new(super::failure::Kind::Failure, error));
-                    return;
+            Some(StatsArg::Json) => {
+                let camera = self.camera.as_deref();
+                let line = Line {
+                    last,
+                    camera,
+                    report,
+                };
+                match serde_json::to_string(&line) {
+                    Ok(text) => text,
+                    Err(error) => {
+                        self.failure = Some(Failure::new(super::failure::Kind::Failure, error));
+                        return;
+                    }
                 }
-            },
+            }
             Some(StatsArg::Csv) if self.header_due => {
                 self.header_due = false;
                 format!("{}\n{}", Report::CSV_HEADER, report.csv())
             }
             Some(StatsArg::Csv) => report.csv(),
-            Some(StatsArg::Text) => report::status(report, report),
+            Some(StatsArg::Text) => match &self.camera {
+                Some(name) => format!("{name}  {}", report::status(report, report)),
+                None => report::status(report, report),
+            },
         };
         let mut out = io::stdout().lock();
         if let Err(error) = writeln!(out, "{text}").and_then(|()| out.flush()) {

@@ -5,9 +5,10 @@ use saint_live::codec::{CodecError, Domain, EncodedFrame, Payload, PayloadDecode
 use saint_live::contact_map::merged::ClaimMap;
 use saint_live::export::{ExportCloud, ExportFrame};
 use saint_live::fit::sphere::Sphere;
-use saint_live::frame::{Camera, ColorFrame};
+use saint_live::frame::{Camera, ColorFrame, FrameTime};
 use saint_live::play::Frames;
 use saint_live::recording::{RecordingError, RecordingReader};
+use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
 /// An open recording and the frame last decoded. A damaged place is skipped to the next key frame;
@@ -28,10 +29,26 @@ pub struct Tape {
 }
 
 impl Tape {
-    /// Opens a recording at its first frame.
+    /// Opens a recording at its first frame; of several cameras the first, which is told.
     pub fn open(path: &Path) -> Result<Self, Failure> {
-        let reader = RecordingReader::open(path)?;
-        Ok(Self {
+        let tape = Self::of(RecordingReader::open(path)?, path);
+        if let [first, _, ..] = tape.cameras() {
+            tracing::warn!(
+                "{} holds the cameras {}; {first} is taken",
+                path.display(),
+                tape.cameras().join(", ")
+            );
+        }
+        Ok(tape)
+    }
+
+    /// Opens one camera of a recording of several.
+    pub fn open_camera(path: &Path, name: &str) -> Result<Self, Failure> {
+        Ok(Self::of(RecordingReader::open_camera(path, name)?, path))
+    }
+
+    fn of(reader: RecordingReader, path: &Path) -> Self {
+        Self {
             camera: reader.camera().clone(),
             path: path.to_owned(),
             reader,
@@ -42,7 +59,27 @@ impl Tape {
             spheres: Vec::new(),
             polar: None,
             fault: None,
-        })
+        }
+    }
+
+    /// Names of all cameras; the only one may have none.
+    pub fn cameras(&self) -> &[String] {
+        self.reader.cameras()
+    }
+
+    /// A fact the recording keeps as JSON; `None` where it is missing or not understood.
+    pub fn note<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        serde_json::from_str(self.reader.notes().get(name)?).ok()
+    }
+
+    /// When the frame that [`Tape::advance`] would read was taken.
+    pub fn next_time(&mut self) -> Option<FrameTime> {
+        self.reader.next_time()
+    }
+
+    /// When the frame last decoded was taken.
+    pub fn time(&self) -> FrameTime {
+        self.encoded.time
     }
 
     /// Its path.

@@ -57,6 +57,14 @@ pub fn duration(text: &str) -> Result<Duration, String> {
     }
 }
 
+/// Reads a time as [`duration`] does, or 0.
+pub fn duration_or_zero(text: &str) -> Result<Duration, String> {
+    match text.trim_end_matches(|unit: char| unit.is_ascii_alphabetic()) {
+        "0" => Ok(Duration::ZERO),
+        _ => duration(text),
+    }
+}
+
 /// Reads an image size: `640x480`.
 pub fn size(text: &str) -> Result<(u32, u32), String> {
     let read = || {
@@ -116,7 +124,10 @@ mod tests {
         }
         for text in ["", "ms", "-1s", "0s", "nan", "1e300s", "3 days"] {
             assert!(duration(text).is_err(), "{text}");
+            assert_eq!(duration_or_zero(text).is_ok(), text == "0s", "{text}");
         }
+        assert_eq!(duration_or_zero("0"), Ok(Duration::ZERO));
+        assert_eq!(duration_or_zero("2s"), Ok(Duration::from_secs(2)));
     }
 
     #[test]

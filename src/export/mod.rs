@@ -14,6 +14,7 @@
 mod cloud;
 pub mod color;
 pub mod exr;
+mod paint;
 pub mod pcd;
 pub mod ply;
 pub mod png;
@@ -21,8 +22,10 @@ pub mod png16;
 mod sequence;
 #[cfg(test)]
 mod tests;
+pub mod union;
 
 pub use cloud::ExportCloud;
+pub use paint::Painter;
 pub use sequence::{ExportSummary, FileSequence, Format, Output};
 
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
@@ -129,6 +132,12 @@ pub enum ExportError {
     NoGrid {
         /// The source's frame number.
         sequence: u64,
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// The format cannot hold several cameras: usage, exit 2.
+    #[error("{format} cannot hold the frames of several cameras; merge to ply or spheres")]
+    NoUnion {
         /// Name of the format.
         format: &'static str,
     },

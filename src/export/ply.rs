@@ -22,6 +22,17 @@ pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) {
     write_points(frame.points(), file);
 }
 
+/// As [`points`], each pixel in the colour `colors` has for it (row-major, one per pixel).
+pub fn painted_points(frame: &ExportFrame<'_>, colors: &[color::Rgb], file: &mut Vec<u8>) {
+    file.clear();
+    file.reserve(512 + frame.depth_m.len() * POINT);
+    begin(file, frame.sequence, frame.time);
+    file.extend_from_slice(b"comment colours of the colour camera, grey where it does not see\n");
+    let measured = frame.depth_m.iter().zip(colors);
+    let measured = measured.filter(|(z, _)| super::is_measured(**z));
+    write_colored(frame.points().zip(measured.map(|(_, color)| *color)), file);
+}
+
 /// As [`points`], of a polar frame.
 pub fn cloud_points(cloud: &ExportCloud<'_>, file: &mut Vec<u8>) {
     file.clear();
@@ -31,6 +42,13 @@ pub fn cloud_points(cloud: &ExportCloud<'_>, file: &mut Vec<u8>) {
 }
 
 fn write_points(points: impl Iterator<Item = Point>, file: &mut Vec<u8>) {
+    write_colored(
+        points.map(|point| (point, color::of_sphere(point.sphere))),
+        file,
+    );
+}
+
+fn write_colored(points: impl Iterator<Item = (Point, color::Rgb)>, file: &mut Vec<u8>) {
     file.extend_from_slice(b"element vertex ");
     let count_at = file.len();
     // filled in below; PLY numbers may have leading zeros
@@ -41,7 +59,7 @@ fn write_points(points: impl Iterator<Item = Point>, file: &mut Vec<u8>) {
           property int sphere\nend_header\n",
     );
     let mut count = 0u64;
-    for point in points {
+    for (point, rgb) in points {
         let mut record = [0; POINT];
         for (bytes, value) in record[..12]
             .chunks_exact_mut(4)
@@ -49,7 +67,7 @@ fn write_points(points: impl Iterator<Item = Point>, file: &mut Vec<u8>) {
         {
             bytes.copy_from_slice(&value.to_le_bytes());
         }
-        record[12..15].copy_from_slice(&color::of_sphere(point.sphere));
+        record[12..15].copy_from_slice(&rgb);
         record[15..].copy_from_slice(&point.sphere.map_or(-1, i32::from).to_le_bytes());
         file.extend_from_slice(&record);
         count += 1;

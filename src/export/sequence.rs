@@ -1,5 +1,7 @@
 //! Where exported frames go: one file each into a folder, or one file.
 
+use super::color::Rgb;
+use super::union::{self, View};
 use super::{ExportCloud, ExportError, ExportFrame, exr, pcd, ply, png, png16};
 use crate::capture::CaptureError;
 use std::fs::{self, OpenOptions};
@@ -40,14 +42,31 @@ impl Format {
     /// # Errors
     /// [`ExportError::NoGrid`] for formats that are images.
     pub fn check_cloud(self, sequence: u64) -> Result<(), ExportError> {
-        let name = Self::NAMES.iter().find(|(_, format)| *format == self);
         match self {
             Self::Ply | Self::Spheres | Self::Pcd => Ok(()),
             Self::Exr | Self::Png | Self::Png16 => Err(ExportError::NoGrid {
                 sequence,
-                format: name.map_or("an image", |(name, _)| name),
+                format: self.name(),
             }),
         }
+    }
+
+    /// Whether the frames of several cameras can be written together.
+    ///
+    /// # Errors
+    /// [`ExportError::NoUnion`] for formats of one camera.
+    pub fn check_union(self) -> Result<(), ExportError> {
+        match self {
+            Self::Ply | Self::Spheres => Ok(()),
+            _ => Err(ExportError::NoUnion {
+                format: self.name(),
+            }),
+        }
+    }
+
+    fn name(self) -> &'static str {
+        let found = Self::NAMES.iter().find(|(_, format)| *format == self);
+        found.map_or("an image", |(name, _)| name)
     }
 
     /// Ending of its files.
@@ -183,8 +202,50 @@ impl FileSequence {
             }
             _ => ply::cloud_points(cloud, buffer),
         }
-        put(&path, &self.buffer, self.overwrite)
-            .map_err(|source| write_error(&path, self.files, source))?;
+        self.put(&path)
+    }
+
+    /// Writes one frame as points in the colours given, one per pixel; for other formats than
+    /// [`Format::Ply`] as [`FileSequence::frame`] does.
+    ///
+    /// # Errors
+    /// As [`FileSequence::frame`].
+    pub fn painted(
+        &mut self,
+        frame: &ExportFrame<'_>,
+        colors: &[Rgb],
+        number: u64,
+    ) -> Result<(), ExportError> {
+        if self.format != Format::Ply || colors.len() != frame.depth_m.len() {
+            return self.frame(frame, number);
+        }
+        frame.check()?;
+        let path = self.place(number)?;
+        ply::painted_points(frame, colors, &mut self.buffer);
+        self.put(&path)
+    }
+
+    /// Writes the frames of several cameras, in their common frame.
+    ///
+    /// # Errors
+    /// [`ExportError::NoUnion`] for formats of one camera, and as [`FileSequence::frame`].
+    pub fn union(&mut self, views: &[View<'_>], number: u64) -> Result<(), ExportError> {
+        self.format.check_union()?;
+        for view in views {
+            view.check()?;
+        }
+        let path = self.place(number)?;
+        match self.format {
+            Format::Spheres => union::spheres(views, &mut self.buffer),
+            _ => union::points(views, &mut self.buffer),
+        }
+        self.put(&path)
+    }
+
+    /// Writes the file that stands in the buffer.
+    fn put(&mut self, path: &Path) -> Result<(), ExportError> {
+        put(path, &self.buffer, self.overwrite)
+            .map_err(|source| write_error(path, self.files, source))?;
         self.files += 1;
         self.bytes += self.buffer.len() as u64;
         Ok(())

@@ -16,6 +16,10 @@ pub trait ColorSource: Send {
     /// # Errors
     /// Anything that ends the stream.
     fn next(&mut self, color: &mut ColorFrame) -> Result<Next, CaptureError>;
+    /// Images lost so far before they came out of here.
+    fn lost(&self) -> u64 {
+        0
+    }
 }
 
 /// The two ends the colour thread works with.
@@ -53,8 +57,14 @@ pub(super) fn run(
     done: &AtomicBool,
 ) -> Option<CaptureError> {
     let mut buffer = ColorFrame::default();
+    let mut lost = 0;
     while !done.load(Ordering::Relaxed) && !shared.stopping() {
-        match source.next(&mut buffer) {
+        let next = source.next(&mut buffer);
+        for _ in lost..source.lost() {
+            super::stages::locked(&shared.statistics).color(false);
+        }
+        lost = source.lost();
+        match next {
             Ok(Next::Frame) => {
                 let empty = queue.empty.try_recv().unwrap_or_default();
                 let image = std::mem::replace(&mut buffer, empty);

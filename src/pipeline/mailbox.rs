@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 struct State<T> {
     items: VecDeque<T>,
@@ -93,7 +94,36 @@ impl<T> MailboxSender<T> {
     }
 }
 
+/// What waiting for an item for some time gave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wait<T> {
+    /// The oldest item.
+    Item(T),
+    /// None came in time (or the wait was cut short).
+    TimedOut,
+    /// The writer is gone and nothing is left.
+    Closed,
+}
+
 impl<T> MailboxReceiver<T> {
+    /// The oldest waiting item, waiting at most `time` for one.
+    #[must_use]
+    pub fn take_within(&self, time: Duration) -> Wait<T> {
+        let mut state = self.0.lock();
+        if state.items.is_empty() && !state.closed {
+            let waited = self.0.changed.wait_timeout(state, time);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        match state.items.pop_front() {
+            Some(item) => {
+                self.0.changed.notify_all();
+                Wait::Item(item)
+            }
+            None if state.closed => Wait::Closed,
+            None => Wait::TimedOut,
+        }
+    }
+
     /// The oldest waiting item, waiting for one; `None` when the writer is gone and nothing is left.
     #[must_use]
     pub fn take(&self) -> Option<T> {
@@ -158,6 +188,16 @@ mod tests {
             prop_assert!(model.is_empty());
             prop_assert_eq!(put, taken + evicted);
         }
+    }
+
+    #[test]
+    fn a_wait_ends_with_an_item_in_vain_or_with_the_writer() {
+        let (tx, rx) = mailbox(1);
+        assert_eq!(rx.take_within(Duration::ZERO), Wait::TimedOut);
+        tx.put_wait(5).unwrap();
+        drop(tx);
+        assert_eq!(rx.take_within(Duration::ZERO), Wait::Item(5));
+        assert_eq!(rx.take_within(Duration::from_secs(60)), Wait::Closed);
     }
 
     #[test]

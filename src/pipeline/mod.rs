@@ -19,12 +19,14 @@
 //! dropped frames is the number of frames the sensor made. What was written is kept.
 //!
 //! *One thread.* With `threads = 1` the same steps run one after the other in the caller's thread,
-//! and the bytes are the same.
+//! and the bytes are the same. A live camera is drained by a thread of its own even then
+//! ([`alone`]): `threads` counts those that compute.
 //!
 //! *Time.* The age of a frame is counted from its device stamp (live), from the moment it was due
 //! (`--realtime`) or from the moment work on it began (replay). [`budget`] decides what a frame
 //! may still cost; [`statistics`] keeps the account; [`trace`] draws it.
 
+mod alone;
 pub mod budget;
 pub mod clock;
 pub mod color;
@@ -44,6 +46,7 @@ mod tests;
 pub use error::{PipelineError, Stage, StageError};
 
 use crate::capture::{CaptureError, FrameSource};
+use alone::Rest;
 use budget::Budget;
 use clock::Clock;
 use color::ColorSource;
@@ -88,7 +91,8 @@ pub enum Pace {
 /// How a pipeline runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// 1 runs every stage in the caller's thread, more gives each stage its own.
+    /// 1 runs every stage in the caller's thread (but capture of a live camera), more gives each
+    /// stage its own.
     pub threads: usize,
     /// How frames are taken.
     pub pace: Pace,
@@ -185,10 +189,16 @@ pub fn run(
         };
         let alone = options.threads <= 1;
         let intake = Intake::new(source, options, alone, clock.now_ns());
-        if alone {
-            run_in_one_thread(intake, model, encode, sink, colors, shared, observe);
-        } else {
-            run_in_threads(scope, intake, model, encode, sink, colors, shared, observe);
+        let rest = Rest {
+            model,
+            encode,
+            sink,
+            colors,
+        };
+        match (alone, options.pace) {
+            (true, Pace::Live) => alone::run_beside_capture(scope, intake, rest, shared, observe),
+            (true, _) => alone::run_in_one_thread(intake, rest, shared, observe),
+            (false, _) => run_in_threads(scope, intake, rest, shared, observe),
         }
         color.and_then(|thread| join(thread, Stage::Color, shared).flatten())
     });
@@ -201,56 +211,20 @@ pub fn run(
     }
 }
 
-/// Every stage in the caller's thread, in order.
-fn run_in_one_thread(
-    mut intake: Intake<'_>,
-    model: &mut dyn Model,
-    encode: &mut dyn Encode,
-    sink: &mut dyn Sink,
-    colors: Colors<'_>,
-    shared: &Shared<'_>,
-    observe: &mut dyn FnMut(&Meter<'_, '_>),
-) {
-    let mut packet = Packet::default();
-    let tick_ns = i64::try_from(TICK.as_nanos()).unwrap_or(i64::MAX);
-    let mut told_ns = shared.clock.now_ns();
-    loop {
-        match intake.take(&mut packet, shared) {
-            Taken::Frame => {
-                if shared.model_step(model, &mut packet) && shared.encode_step(encode, &mut packet)
-                {
-                    shared.sink_step(sink, &mut packet);
-                }
-            }
-            Taken::Again => shared.idle_step(sink),
-            Taken::End => break,
-        }
-        colors.write_waiting(sink, shared);
-        let now_ns = shared.clock.now_ns();
-        if now_ns - told_ns >= tick_ns {
-            told_ns = now_ns;
-            observe(&Meter(shared));
-        }
-    }
-    colors.finish(sink, shared);
-    shared.finish_sink(sink);
-}
-
 /// Every stage in its own thread; the caller's thread observes.
-#[allow(
-    clippy::too_many_arguments,
-    reason = "the four stages, each handed to its own thread"
-)]
 fn run_in_threads<'scope, 'env: 'scope>(
     scope: &'scope Scope<'scope, 'env>,
     intake: Intake<'env>,
-    model: &'env mut dyn Model,
-    encode: &'env mut dyn Encode,
-    sink: &'env mut dyn Sink,
-    colors: Colors<'scope>,
+    rest: Rest<'scope>,
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
+    let Rest {
+        model,
+        encode,
+        sink,
+        colors,
+    } = rest;
     let (captured_tx, captured) = mailbox::<Box<Packet>>(WAITING);
     let handed_over = if intake.drops_oldest() {
         0

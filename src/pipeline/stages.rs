@@ -322,11 +322,11 @@ impl<'a> Shared<'a> {
         }
         let start = self.clock.now_ns();
         let written = self.guarded(Stage::Sink, packet.depth.sequence, || {
-            sink.frame(packet)?;
-            match &packet.color {
-                Some(color) => sink.color(color),
-                None => Ok(()),
+            // the image first: who reads the frame has it then
+            if let Some(color) = &packet.color {
+                sink.color(color)?;
             }
+            sink.frame(packet)
         });
         if written.is_none() {
             self.give_up(Stage::Sink, packet);

@@ -111,6 +111,13 @@ fn back_pressure_bounds_the_frames_under_way() {
 
 #[test]
 fn live_drops_the_oldest_waiting_frame_and_counts_it() {
+    // with one thread to compute in, the camera is drained all the same
+    for threads in [1, 4] {
+        live_drops_the_oldest(threads);
+    }
+}
+
+fn live_drops_the_oldest(threads: usize) {
     // The model holds frame 0 until the source has given all frames.
     let (tx, rx) = bounded::<()>(1);
     let (begun_tx, begun) = bounded::<()>(1);
@@ -138,7 +145,7 @@ fn live_drops_the_oldest_waiting_frame_and_counts_it() {
     let mut sink = MockSink::default();
     let options = Options {
         pace: Pace::Live,
-        ..options(4)
+        ..options(threads)
     };
     let outcome = run_mocks(
         &mut source,

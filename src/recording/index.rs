@@ -3,7 +3,7 @@
 use super::container::{PREFIX, Source, parse, records};
 use super::message::{self, FrameHeader};
 use super::tally::{self, Tally};
-use super::{COLOR_TOPIC, RecordingError, SAINT_ENCODING, SAINT_TOPIC};
+use super::{COLOR_TOPIC, RecordingError, SAINT_ENCODING, SAINT_TOPIC, stream};
 use crate::frame::Camera;
 use mcap::records::{ChunkIndex, MessageHeader, Record, op};
 use std::collections::BTreeMap;
@@ -45,10 +45,14 @@ pub(super) struct Channel {
     pub schema: String,
 }
 
-/// The channels met so far, and what the `saint` channel says of the stream.
+/// The channels met so far, and what the `saint` channel says of the camera's stream.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Channels {
     schemas: BTreeMap<u16, String>,
+    /// Name of the camera that is read: the one asked for, or the first met.
+    name: Option<String>,
+    /// Names of all cameras, in the order of the recording; the only one may have none.
+    pub cameras: Vec<String>,
     pub by_id: BTreeMap<u16, Channel>,
     pub camera: Option<Camera>,
     /// Metadata of the `saint` channel, camera aside.
@@ -74,7 +78,11 @@ impl Channels {
                         schema: schema.unwrap_or_default(),
                     },
                 );
-                if channel.topic == SAINT_TOPIC && channel.message_encoding == SAINT_ENCODING {
+                if let Some(name) = camera_name(&channel.topic, &channel.message_encoding) {
+                    self.cameras.push(name.to_owned());
+                    if self.name.get_or_insert_with(|| name.to_owned()) != name {
+                        return;
+                    }
                     self.notes = channel.metadata.clone();
                     let camera = self.notes.remove("camera");
                     self.camera = camera.and_then(|text| serde_json::from_str(&text).ok());
@@ -84,17 +92,48 @@ impl Channels {
         }
     }
 
+    fn of_camera(name: Option<&str>) -> Self {
+        Self {
+            name: name.map(str::to_owned),
+            ..Self::default()
+        }
+    }
+
+    /// What stands before the topics of the camera that is read.
+    pub fn prefix(&self) -> String {
+        stream::prefix(self.name.as_deref().unwrap_or_default())
+    }
+
+    /// The part of a topic after the camera's prefix; `None` for another camera's.
+    pub fn own<'a>(&self, topic: &'a str) -> Option<&'a str> {
+        match self.name.as_deref() {
+            None | Some("") => Some(topic),
+            Some(name) => topic.strip_prefix(name)?.strip_prefix('/'),
+        }
+    }
+
     fn is_saint(&self, id: u16) -> bool {
-        self.by_id
-            .get(&id)
-            .is_some_and(|c| c.topic == SAINT_TOPIC && c.encoding == SAINT_ENCODING)
+        self.by_id.get(&id).is_some_and(|c| {
+            c.encoding == SAINT_ENCODING && self.own(&c.topic) == Some(SAINT_TOPIC)
+        })
     }
 
     fn is_color(&self, id: u16) -> bool {
         self.by_id
             .get(&id)
-            .is_some_and(|c| c.topic == COLOR_TOPIC && c.encoding == "cdr")
+            .is_some_and(|c| c.encoding == "cdr" && self.own(&c.topic) == Some(COLOR_TOPIC))
     }
+}
+
+/// The camera whose frames a channel carries: empty for `saint`, else what stands before `/saint`.
+fn camera_name<'a>(topic: &'a str, encoding: &str) -> Option<&'a str> {
+    let before = topic.strip_suffix(SAINT_TOPIC)?;
+    let name = if before.is_empty() {
+        Some(before)
+    } else {
+        before.strip_suffix('/')
+    };
+    name.filter(|_| encoding == SAINT_ENCODING)
 }
 
 /// One chunk in memory, its messages found.
@@ -218,10 +257,11 @@ pub(super) struct Index {
 }
 
 impl Index {
-    pub fn read(source: &Source) -> Result<Self, RecordingError> {
-        let index = match Self::stored(source) {
+    /// The index of one camera, or of the first where none is named.
+    pub fn read(source: &Source, camera: Option<&str>) -> Result<Self, RecordingError> {
+        let index = match Self::stored(source, camera) {
             Some(index) => index,
-            None => Self::scanned(source),
+            None => Self::scanned(source, camera),
         };
         if index.channels.camera.is_some() {
             return Ok(index);
@@ -233,6 +273,17 @@ impl Index {
                 frame: 0,
                 what: format!("{} (the camera's description is lost)", fault.what),
             });
+        }
+        if let (Some(name), false) = (camera, index.channels.cameras.is_empty()) {
+            let cameras = index.channels.cameras.join(", ");
+            return Err(source.foreign(&format!(
+                "holds no camera `{name}`; it holds {}",
+                if cameras.is_empty() {
+                    "one without a name"
+                } else {
+                    &cameras
+                }
+            )));
         }
         let topics: Vec<_> = index
             .channels
@@ -252,7 +303,7 @@ impl Index {
     }
 
     /// The index at the file's end; `None` where any part of it is missing or in doubt.
-    fn stored(source: &Source) -> Option<Self> {
+    fn stored(source: &Source, camera: Option<&str>) -> Option<Self> {
         let footer_at = source.length.checked_sub(FOOTER)?;
         let mut end = [0; FOOTER as usize];
         source.read_at(footer_at, &mut end).ok()?;
@@ -274,7 +325,10 @@ impl Index {
         if crc.finalize() != facts.summary_crc {
             return None;
         }
-        let mut index = Self::default();
+        let mut index = Self {
+            channels: Channels::of_camera(camera),
+            ..Self::default()
+        };
         let mut chunks = Vec::new();
         let mut tally_at = None;
         for step in records(&summary) {
@@ -287,17 +341,19 @@ impl Index {
                 record => index.channels.learn(&record),
             }
         }
-        index.tally = Self::stored_tally(source, tally_at?)?;
+        index.tally = Self::stored_tally(source, tally_at?, &index.channels.prefix())?;
         index.place(&chunks, source.length)?;
         Some(index)
     }
 
-    fn stored_tally(source: &Source, (offset, length): (u64, u64)) -> Option<Tally> {
+    fn stored_tally(source: &Source, (offset, length): (u64, u64), prefix: &str) -> Option<Tally> {
         let mut bytes = Vec::new();
         source.fill(offset, length, &mut bytes).ok()?;
         let (code, body, _) = records(&bytes).next()?.ok()?;
         match parse(code, body).ok()? {
-            Record::Metadata(m) if m.name == tally::RECORD => Tally::from_metadata(&m.metadata),
+            Record::Metadata(m) if m.name == tally::RECORD => {
+                Tally::from_metadata(&m.metadata, prefix)
+            }
             _ => None,
         }
     }
@@ -334,9 +390,10 @@ impl Index {
     }
 
     /// Goes through the whole file, chunk by chunk, and finds what can be played.
-    fn scanned(source: &Source) -> Self {
+    fn scanned(source: &Source, camera: Option<&str>) -> Self {
         let mut index = Self {
             rebuilt: true,
+            channels: Channels::of_camera(camera),
             ..Self::default()
         };
         let mut loaded = Loaded::default();
@@ -397,8 +454,9 @@ impl Index {
             self.tally.frame(header);
         }
         for (id, bytes) in &loaded.traffic {
-            if let Some(channel) = self.channels.by_id.get(id) {
-                self.tally.message(&channel.topic, *bytes);
+            let channel = self.channels.by_id.get(id);
+            if let Some(topic) = channel.and_then(|c| self.channels.own(&c.topic)) {
+                self.tally.message(topic, *bytes);
             }
         }
         place.frames = loaded.frames.len() as u64;

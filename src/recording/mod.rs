@@ -19,6 +19,10 @@
 //! known from the file's first chunk and from its summary alike, and names the writer
 //! (`generator`). A reader MUST ignore channels it does not know.
 //!
+//! *Several cameras.* Each has a name and its own set of these channels, the name and a slash
+//! before the topic (`left/saint`, `left/color`); each is a stream of its own, with its own
+//! numbers and its own device clock. The index then holds `NAME/tally` and `NAME/crc32` for each.
+//!
 //! # Time
 //! The exact times stand in the frame's header. MCAP's `log_time` is the device clock moved to
 //! the wall clock of the first frame (`wall₀ + device − device₀`), so it never runs backwards and
@@ -46,6 +50,7 @@ mod info;
 pub mod message;
 mod reader;
 mod sink;
+mod stream;
 mod tally;
 #[cfg(test)]
 mod tests;
@@ -55,6 +60,7 @@ pub use error::RecordingError;
 pub use info::{ChannelInfo, Damage, Info};
 pub use reader::{RecordingReader, Seek};
 pub use sink::Target;
+pub use stream::CameraStream;
 pub use writer::{RecordingSummary, RecordingWriter, WriterOptions};
 
 /// Topic of the SAINT stream.

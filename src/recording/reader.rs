@@ -7,6 +7,7 @@ use super::tally::Traffic;
 use super::{CONTACT_MAP_NOTE, RecordingError, SAINT_TOPIC, color, message};
 use crate::codec::{Domain, EncodedFrame};
 use crate::frame::{Camera, ColorFrame, FrameTime};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Where [`RecordingReader::seek`] has gone.
@@ -37,14 +38,27 @@ pub struct RecordingReader {
 }
 
 impl RecordingReader {
-    /// Opens a recording: by its index where that is whole, else by a scan of the file.
+    /// Opens a recording: by its index where that is whole, else by a scan of the file. Of several
+    /// cameras the first is read.
     ///
     /// # Errors
     /// [`RecordingError::Unreadable`], [`RecordingError::NotARecording`], or
     /// [`RecordingError::Damaged`] where not even the camera is left. A cut or damaged file opens.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        Self::open_at(path, None)
+    }
+
+    /// Opens one camera of a recording of several, by name.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open); [`RecordingError::NotARecording`] names the cameras there are.
+    pub fn open_camera(path: &Path, name: &str) -> Result<Self, RecordingError> {
+        Self::open_at(path, Some(name))
+    }
+
+    fn open_at(path: &Path, name: Option<&str>) -> Result<Self, RecordingError> {
         let source = Source::open(path)?;
-        let index = Index::read(&source)?;
+        let index = Index::read(&source, name)?;
         let Some(camera) = index.channels.camera.clone() else {
             return Err(source.foreign("does not describe its camera"));
         };
@@ -66,6 +80,18 @@ impl RecordingReader {
     #[must_use]
     pub fn camera(&self) -> &Camera {
         &self.camera
+    }
+
+    /// Names of all cameras of the recording, in its order; the only one may have none.
+    #[must_use]
+    pub fn cameras(&self) -> &[String] {
+        &self.index.channels.cameras
+    }
+
+    /// What the writer noted beside the camera's stream.
+    #[must_use]
+    pub fn notes(&self) -> &BTreeMap<String, String> {
+        &self.index.channels.notes
     }
 
     /// Number of frames.
@@ -121,6 +147,18 @@ impl RecordingReader {
         self.collect_colors(inside);
         self.position += 1;
         Ok(true)
+    }
+
+    /// When the frame that [`next_frame`](Self::next_frame) reads was taken; `None` at the end and
+    /// before a damaged place.
+    pub fn next_time(&mut self) -> Option<FrameTime> {
+        if self.position >= self.frames() {
+            return None;
+        }
+        let chunk = self.chunk_of(self.position);
+        self.load(chunk).ok()?;
+        let inside = (self.position - self.index.chunks[chunk].first_frame) as usize;
+        Some(self.loaded.frames.get(inside)?.0.time)
     }
 
     /// Goes to the key frame at or before `frame`.
@@ -211,8 +249,11 @@ impl RecordingReader {
         let bits_per_frame = (tally.frames > 0).then(|| payload_bits / tally.frames as f64);
         let mut notes = self.index.channels.notes.clone();
         let generator = notes.remove("generator").unwrap_or_default();
-        let mut channels: Vec<_> = self.index.channels.by_id.values().collect();
-        channels.sort_by(|a, b| a.topic.cmp(&b.topic));
+        let known = &self.index.channels;
+        let mut channels: Vec<_> = (known.by_id.values())
+            .filter_map(|channel| Some((channel, known.own(&channel.topic)?)))
+            .collect();
+        channels.sort_by(|a, b| a.1.cmp(b.1));
         Info {
             path: self.source.path.display().to_string(),
             bytes: self.source.length,
@@ -236,12 +277,12 @@ impl RecordingReader {
                 .map_or_else(|| Domain::Sensor.name().to_owned(), Clone::clone),
             channels: channels
                 .into_iter()
-                .map(|channel| ChannelInfo {
+                .map(|(channel, topic)| ChannelInfo {
                     topic: channel.topic.clone(),
                     schema: channel.schema.clone(),
                     encoding: channel.encoding.clone(),
-                    messages: traffic(&channel.topic).messages,
-                    bytes: traffic(&channel.topic).bytes,
+                    messages: traffic(topic).messages,
+                    bytes: traffic(topic).bytes,
                 })
                 .collect(),
             camera: self.camera.clone(),

@@ -32,7 +32,7 @@ pub(super) struct Tally {
     pub last_sequence: u64,
     /// Sequence numbers skipped between frames.
     pub lost_frames: u64,
-    /// By topic.
+    /// By topic, without the camera's prefix.
     pub channels: BTreeMap<String, Traffic>,
 }
 
@@ -78,18 +78,22 @@ impl Tally {
         }
     }
 
-    /// The tally as the metadata record's map.
-    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+    /// The tally as entries of the metadata record's map, `prefix` before their names.
+    pub fn to_metadata(&self, prefix: &str) -> BTreeMap<String, String> {
         // serialising integers, strings and lists of them cannot fail
         let text = serde_json::to_string(self).unwrap_or_default();
         let crc = format!("{:08x}", crc32fast::hash(text.as_bytes()));
-        BTreeMap::from([("tally".to_owned(), text), ("crc32".to_owned(), crc)])
+        BTreeMap::from([
+            (format!("{prefix}tally"), text),
+            (format!("{prefix}crc32"), crc),
+        ])
     }
 
-    /// The tally out of the metadata record's map; `None` unless checksum and sums agree.
-    pub fn from_metadata(map: &BTreeMap<String, String>) -> Option<Self> {
-        let text = map.get("tally")?;
-        let crc = u32::from_str_radix(map.get("crc32")?, 16).ok()?;
+    /// The tally of the camera of that prefix out of the metadata record's map; `None` unless
+    /// checksum and sums agree.
+    pub fn from_metadata(map: &BTreeMap<String, String>, prefix: &str) -> Option<Self> {
+        let text = map.get(&format!("{prefix}tally"))?;
+        let crc = u32::from_str_radix(map.get(&format!("{prefix}crc32"))?, 16).ok()?;
         if crc != crc32fast::hash(text.as_bytes()) {
             return None;
         }

@@ -1,3 +1,4 @@
+mod cameras;
 mod damage;
 
 use super::*;

@@ -5,7 +5,8 @@ use super::calibration::{
 };
 use super::message::{self, FrameHeader};
 use super::sink::Sink;
-use super::tally::{self, Tally};
+use super::stream::{CameraStream, Stream};
+use super::tally;
 use super::{
     CALIBRATION_TOPIC, CAMERA_TOPIC, COLOR_TOPIC, MAX_MESSAGE, RecordingError, SAINT_ENCODING,
     SAINT_TOPIC, STATISTICS_TOPIC, Target, color,
@@ -59,22 +60,13 @@ pub struct RecordingWriter {
     /// `None` once finished or failed.
     container: Option<mcap::Writer<NoSeek<Sink>>>,
     target: String,
-    camera: Camera,
-    saint: u16,
-    calibration: u16,
-    camera_channel: u16,
-    statistics: Option<u16>,
-    color: Option<u16>,
-    tally: Tally,
+    /// One per camera.
+    streams: Vec<Stream>,
     chunk: Chunk,
-    /// Added to the device clock to make a log time; set by the first image.
-    clock_offset: Option<i64>,
     kept_frames: u64,
     kept_bytes: u64,
     /// Bytes the sink has handed to the system.
     written: Arc<AtomicU64>,
-    /// The camera's messages are out.
-    described: bool,
     message: Vec<u8>,
 }
 
@@ -83,8 +75,9 @@ pub struct RecordingWriter {
 struct Chunk {
     /// When its first message came; `None` while it is empty.
     since: Option<Instant>,
-    /// Device time of its first frame, ns. Other messages may keep a clock of their own.
-    first_ns: Option<i64>,
+    /// Camera and device time (ns) of its first frame. Other messages, and other cameras, may
+    /// keep clocks of their own.
+    first: Option<(usize, i64)>,
     bytes: usize,
 }
 
@@ -94,8 +87,10 @@ impl Chunk {
         let Some(since) = self.since else {
             return false;
         };
-        let span = match (kind, self.first_ns) {
-            (Kind::Key(ns) | Kind::Predicted(ns), Some(first)) => ns.saturating_sub(first),
+        let span = match (kind, self.first) {
+            (Kind::Key(at) | Kind::Predicted(at), Some(first)) if at.0 == first.0 => {
+                at.1.saturating_sub(first.1)
+            }
             _ => 0,
         };
         let span = span.saturating_abs();
@@ -116,6 +111,21 @@ impl RecordingWriter {
         camera: &Camera,
         options: &WriterOptions,
     ) -> Result<Self, RecordingError> {
+        let only = CameraStream {
+            name: String::new(),
+            camera: camera.clone(),
+            notes: options.notes.clone(),
+        };
+        Self::create_rig(target, &[only])
+    }
+
+    /// Opens the target for several cameras, each with channels of its own; their numbers in
+    /// [`frame_of`](Self::frame_of) are their places in `cameras`. The names must differ, and the
+    /// only camera of a recording may have none.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_rig(target: Target, cameras: &[CameraStream]) -> Result<Self, RecordingError> {
         let name = target.name();
         let sink = Sink::open(target)?;
         let written = sink.written();
@@ -129,41 +139,42 @@ impl RecordingWriter {
         let mut writer = Self {
             container: Some(container),
             target: name,
-            camera: camera.clone(),
-            saint: 0,
-            calibration: 0,
-            camera_channel: 0,
-            statistics: None,
-            color: None,
-            tally: Tally::default(),
+            streams: Vec::new(),
             chunk: Chunk::default(),
-            clock_offset: None,
             kept_frames: 0,
             kept_bytes: 0,
             written,
-            described: false,
             message: Vec::new(),
         };
-        writer.begin(&options.notes)?;
+        for camera in cameras {
+            writer.begin(camera)?;
+        }
+        writer.open_chunk();
+        writer.close_chunk()?;
         Ok(writer)
     }
 
-    /// Channels every recording has, in a chunk of their own.
-    fn begin(&mut self, notes: &BTreeMap<String, String>) -> Result<(), RecordingError> {
-        let mut facts = notes.clone();
+    /// Channels every camera has, in the first chunk.
+    fn begin(&mut self, camera: &CameraStream) -> Result<(), RecordingError> {
+        let mut stream = Stream::new(&camera.name, &camera.camera);
+        let mut facts = camera.notes.clone();
         facts.insert("generator".to_owned(), generator());
-        facts.insert("camera".to_owned(), camera_text(&self.camera));
+        facts.insert("camera".to_owned(), camera_text(&camera.camera));
         let schema = ("saint-live.frame", "text", SAINT_SCHEMA.to_owned());
-        self.saint = self.add_channel(SAINT_TOPIC, SAINT_ENCODING, schema, &facts)?;
-        self.calibration = self.add_json(
-            CALIBRATION_TOPIC,
+        let topic = stream.topic(SAINT_TOPIC);
+        stream.saint = self.add_channel(&topic, SAINT_ENCODING, schema, &facts)?;
+        stream.calibration = self.add_json(
+            &stream.topic(CALIBRATION_TOPIC),
             CALIBRATION_SCHEMA,
             &calibration_schema().to_string(),
         )?;
-        self.camera_channel =
-            self.add_json(CAMERA_TOPIC, CAMERA_SCHEMA, &camera_schema().to_string())?;
-        self.tally.open_chunk();
-        self.close_chunk()
+        stream.camera_channel = self.add_json(
+            &stream.topic(CAMERA_TOPIC),
+            CAMERA_SCHEMA,
+            &camera_schema().to_string(),
+        )?;
+        self.streams.push(stream);
+        Ok(())
     }
 
     /// Appends one frame.
@@ -171,6 +182,17 @@ impl RecordingWriter {
     /// # Errors
     /// A write error says how many frames are safe; the recording is closed by it.
     pub fn frame(&mut self, frame: &EncodedFrame) -> Result<(), RecordingError> {
+        self.frame_of(0, frame)
+    }
+
+    /// Appends one frame of a camera, by its place in [`create_rig`](Self::create_rig).
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame); [`RecordingError::Container`] where there is no such camera.
+    pub fn frame_of(&mut self, camera: usize, frame: &EncodedFrame) -> Result<(), RecordingError> {
+        let stream = self.stream(camera)?;
+        stream.set_clock(frame.time);
+        let saint = stream.saint;
         let mut message = std::mem::take(&mut self.message);
         message::write(frame, &mut message);
         let header = FrameHeader {
@@ -179,20 +201,20 @@ impl RecordingWriter {
             time: frame.time,
         };
         let kind = if header.key {
-            Kind::Key(header.time.device_ns)
+            Kind::Key((camera, header.time.device_ns))
         } else {
-            Kind::Predicted(header.time.device_ns)
+            Kind::Predicted((camera, header.time.device_ns))
         };
-        self.set_clock(header.time);
         let result = self.put(
-            self.saint,
+            camera,
+            saint,
             SAINT_TOPIC,
             (header.sequence, header.time),
             kind,
             &message,
         );
         if result.is_ok() {
-            self.tally.frame(&header);
+            self.stream(camera)?.tally.frame(&header);
         }
         self.message = message;
         result
@@ -203,19 +225,30 @@ impl RecordingWriter {
     /// # Errors
     /// As [`frame`](Self::frame).
     pub fn color(&mut self, frame: &ColorFrame) -> Result<(), RecordingError> {
-        let channel = match self.color {
+        self.color_of(0, frame)
+    }
+
+    /// Appends one colour image that belongs to a camera of [`create_rig`](Self::create_rig).
+    ///
+    /// # Errors
+    /// As [`frame_of`](Self::frame_of).
+    pub fn color_of(&mut self, camera: usize, frame: &ColorFrame) -> Result<(), RecordingError> {
+        let stream = self.stream(camera)?;
+        stream.set_clock(frame.time);
+        let stamp = stream.log_time(frame.time);
+        let channel = match stream.color {
             Some(channel) => channel,
             None => {
+                let topic = stream.topic(COLOR_TOPIC);
                 let schema = (color::SCHEMA, "ros2msg", color::DEFINITION.to_owned());
-                let channel = self.add_channel(COLOR_TOPIC, "cdr", schema, &BTreeMap::new())?;
-                *self.color.insert(channel)
+                let channel = self.add_channel(&topic, "cdr", schema, &BTreeMap::new())?;
+                *self.stream(camera)?.color.insert(channel)
             }
         };
-        self.set_clock(frame.time);
-        let stamp = self.log_time(frame.time);
         let mut message = std::mem::take(&mut self.message);
         color::write(frame, stamp, &mut message);
         let result = self.put(
+            camera,
             channel,
             COLOR_TOPIC,
             (frame.sequence, frame.time),
@@ -235,16 +268,32 @@ impl RecordingWriter {
         statistics: &serde_json::Value,
         time: FrameTime,
     ) -> Result<(), RecordingError> {
-        let channel = match self.statistics {
+        self.statistics_of(0, statistics, time)
+    }
+
+    /// Appends one set of statistics of a camera of [`create_rig`](Self::create_rig).
+    ///
+    /// # Errors
+    /// As [`frame_of`](Self::frame_of).
+    pub fn statistics_of(
+        &mut self,
+        camera: usize,
+        statistics: &serde_json::Value,
+        time: FrameTime,
+    ) -> Result<(), RecordingError> {
+        let stream = self.stream(camera)?;
+        let channel = match stream.statistics {
             Some(channel) => channel,
             None => {
+                let topic = stream.topic(STATISTICS_TOPIC);
                 let schema = r#"{"title":"saint-live.statistics","type":"object"}"#;
-                let channel = self.add_json(STATISTICS_TOPIC, "saint-live.statistics", schema)?;
-                *self.statistics.insert(channel)
+                let channel = self.add_json(&topic, "saint-live.statistics", schema)?;
+                *self.stream(camera)?.statistics.insert(channel)
             }
         };
         let text = statistics.to_string();
         self.put(
+            camera,
             channel,
             STATISTICS_TOPIC,
             (0, time),
@@ -271,21 +320,20 @@ impl RecordingWriter {
     /// As [`frame`](Self::frame); closed chunks stay readable then.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
         self.finalise()?;
+        let tallies = || self.streams.iter().map(|stream| &stream.tally);
         Ok(RecordingSummary {
             target: self.target.clone(),
-            frames: self.tally.frames,
-            key_frames: self.tally.key_frames.len() as u64,
-            color_frames: self
-                .tally
-                .channels
-                .get(COLOR_TOPIC)
-                .map_or(0, |t| t.messages),
+            frames: self.frames(),
+            key_frames: tallies().map(|t| t.key_frames.len() as u64).sum(),
+            color_frames: tallies()
+                .filter_map(|t| t.channels.get(COLOR_TOPIC))
+                .map(|traffic| traffic.messages)
+                .sum(),
             bytes: self.kept_bytes,
-            duration_ns: self
-                .tally
-                .last
-                .device_ns
-                .saturating_sub(self.tally.first.device_ns),
+            duration_ns: tallies()
+                .map(|t| t.last.device_ns.saturating_sub(t.first.device_ns))
+                .max()
+                .unwrap_or(0),
         })
     }
 
@@ -307,7 +355,11 @@ impl RecordingWriter {
         }
         let index = Metadata {
             name: tally::RECORD.to_owned(),
-            metadata: self.tally.to_metadata(),
+            metadata: self
+                .streams
+                .iter()
+                .flat_map(|stream| stream.tally.to_metadata(&stream.prefix))
+                .collect(),
         };
         self.with(|container| {
             container.write_metadata(&index)?;
@@ -326,9 +378,31 @@ impl RecordingWriter {
         Ok(())
     }
 
+    fn stream(&mut self, camera: usize) -> Result<&mut Stream, RecordingError> {
+        let cameras = self.streams.len();
+        self.streams
+            .get_mut(camera)
+            .ok_or_else(|| RecordingError::Container {
+                target: self.target.clone(),
+                what: format!("no camera number {camera}, it has {cameras}"),
+            })
+    }
+
+    /// Frames of all cameras.
+    fn frames(&self) -> u64 {
+        self.streams.iter().map(|stream| stream.tally.frames).sum()
+    }
+
+    fn open_chunk(&mut self) {
+        for stream in &mut self.streams {
+            stream.tally.open_chunk();
+        }
+    }
+
     /// One message into the open chunk, after closing it if it is full.
     fn put(
         &mut self,
+        camera: usize,
         channel: u16,
         topic: &'static str,
         (sequence, time): (u64, FrameTime),
@@ -348,46 +422,38 @@ impl RecordingWriter {
             self.close_chunk()?;
         }
         if self.chunk.since.is_none() {
-            self.tally.open_chunk();
+            self.open_chunk();
             self.chunk.since = Some(now);
         }
-        if let Kind::Key(ns) | Kind::Predicted(ns) = kind {
-            self.chunk.first_ns.get_or_insert(ns);
+        if let Kind::Key(at) | Kind::Predicted(at) = kind {
+            self.chunk.first.get_or_insert(at);
         }
-        if !self.described {
-            self.describe_camera(time)?;
+        if !self.stream(camera)?.described {
+            self.describe_camera(camera, time)?;
         }
-        self.append(channel, topic, (sequence, time), data)
+        self.append(camera, channel, topic, (sequence, time), data)
     }
 
     /// The camera's two messages, at the first message's time.
-    fn describe_camera(&mut self, time: FrameTime) -> Result<(), RecordingError> {
-        self.described = true;
-        let stamp = self.log_time(time);
-        let text = calibration(&self.camera, stamp).to_string();
-        self.append(
-            self.calibration,
-            CALIBRATION_TOPIC,
-            (0, time),
-            text.as_bytes(),
-        )?;
-        let text = camera_text(&self.camera);
-        self.append(
-            self.camera_channel,
-            CAMERA_TOPIC,
-            (0, time),
-            text.as_bytes(),
-        )
+    fn describe_camera(&mut self, camera: usize, time: FrameTime) -> Result<(), RecordingError> {
+        let stream = self.stream(camera)?;
+        stream.described = true;
+        let (first, second) = (stream.calibration, stream.camera_channel);
+        let text = calibration(&stream.camera, stream.log_time(time)).to_string();
+        let whole = camera_text(&stream.camera);
+        self.append(camera, first, CALIBRATION_TOPIC, (0, time), text.as_bytes())?;
+        self.append(camera, second, CAMERA_TOPIC, (0, time), whole.as_bytes())
     }
 
     fn append(
         &mut self,
+        camera: usize,
         channel_id: u16,
         topic: &'static str,
         (sequence, time): (u64, FrameTime),
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        let log_time = self.log_time(time);
+        let log_time = self.stream(camera)?.log_time(time);
         let header = MessageHeader {
             channel_id,
             sequence: sequence as u32, // MCAP's field; the whole number stands in our header
@@ -398,31 +464,15 @@ impl RecordingWriter {
             },
         };
         self.with(|container| container.write_to_known_channel(&header, data))?;
-        self.tally.message(topic, data.len());
+        self.stream(camera)?.tally.message(topic, data.len());
         self.chunk.bytes += data.len();
         Ok(())
-    }
-
-    /// The first image decides how the device clock is moved to the wall clock.
-    fn set_clock(&mut self, time: FrameTime) {
-        self.clock_offset.get_or_insert(match time.wall_ns {
-            0 => 0,
-            wall => wall.saturating_sub(time.device_ns),
-        });
-    }
-
-    /// MCAP's log time: the device clock, moved.
-    fn log_time(&self, time: FrameTime) -> u64 {
-        let moved = time
-            .device_ns
-            .saturating_add(self.clock_offset.unwrap_or(0));
-        u64::try_from(moved).unwrap_or(0)
     }
 
     fn close_chunk(&mut self) -> Result<(), RecordingError> {
         self.with(mcap::Writer::flush)?;
         self.chunk = Chunk::default();
-        self.kept_frames = self.tally.frames;
+        self.kept_frames = self.frames();
         self.kept_bytes = self.written.load(Ordering::Relaxed);
         Ok(())
     }
@@ -482,11 +532,11 @@ impl Drop for RecordingWriter {
     }
 }
 
-/// What the chunking rule wants to know of a message: a frame's device time, ns.
+/// What the chunking rule wants to know of a message: a frame's camera and device time, ns.
 #[derive(Clone, Copy)]
 enum Kind {
-    Key(i64),
-    Predicted(i64),
+    Key((usize, i64)),
+    Predicted((usize, i64)),
     Other,
 }
 

@@ -2,19 +2,22 @@
 //! the kernel's virtual host controller, so the stock `uvcvideo` driver binds to it and shows a
 //! real `/dev/videoN`. Runs in the test guest; needs the module `vhci-hcd` and root.
 //!
-//! Options, each with a frame number: `--unplug N`, `--stall N` (3 s), `--silent N` (for ever),
-//! `--damage N` (error bit), `--cut N` (half a frame); and `--d16` (a format Linux does not know).
+//! Options, each with a frame number: `--unplug N`, `--stall N` (3 s), `--pause N` (7 s),
+//! `--silent N` (for ever), `--damage N` (error bit), `--cut N` (half a frame); `--d16` (a format
+//! Linux does not know); `--log FILE`, which gets a line with the number of each frame that was
+//! sent to its end.
 
 mod descriptors;
 mod pattern;
 
 use descriptors::{HEADER_BYTES, INTERVALS, SIZES, UNIT, UNIT_BYTES};
 use std::collections::VecDeque;
-use std::fs;
+use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixStream;
 use std::process::exit;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -33,11 +36,15 @@ const STALLED: i32 = -32;
 struct Faults {
     unplug: Option<u32>,
     stall: Option<u32>,
+    pause: Option<u32>,
     silent: Option<u32>,
     damage: Option<u32>,
     cut: Option<u32>,
     d16: bool,
 }
+
+/// Time for the host to take what was sent before the cable is pulled.
+const IN_FLIGHT: Duration = Duration::from_millis(500);
 
 /// A transfer the host waits for.
 struct Transfer {
@@ -57,6 +64,10 @@ struct Stream {
 
 struct Camera {
     faults: Faults,
+    /// Frames sent to their end.
+    log: Option<File>,
+    /// The stall is over.
+    rested: AtomicBool,
     host: Mutex<UnixStream>,
     stream: Mutex<Stream>,
     changed: Condvar,
@@ -108,6 +119,9 @@ impl Camera {
                 due = due.max(Instant::now() - period * 2) + period;
                 thread::sleep(due.saturating_duration_since(Instant::now()));
                 if self.send_frame(&self.payload(number, size, toggle), generation) {
+                    if let Some(mut log) = self.log.as_ref() {
+                        writeln!(log, "{number}").expect("the log takes a line");
+                    }
                     break;
                 }
             }
@@ -118,9 +132,11 @@ impl Camera {
     /// Header and pixels of a frame, with what the faults do to it.
     fn payload(&self, number: u32, (width, height): (u16, u16), toggle: u8) -> Vec<u8> {
         let at = |fault: Option<u32>| fault == Some(number);
-        if at(self.faults.stall) {
-            println!("camera: stalls 3 s at frame {number}");
-            thread::sleep(Duration::from_secs(3));
+        for (fault, seconds) in [(self.faults.stall, 3), (self.faults.pause, 7)] {
+            if at(fault) && !self.rested.swap(true, Ordering::Relaxed) {
+                println!("camera: stalls {seconds} s at frame {number}");
+                thread::sleep(Duration::from_secs(seconds));
+            }
         }
         if at(self.faults.silent) {
             println!("camera: silent from frame {number}");
@@ -130,6 +146,7 @@ impl Camera {
         }
         if at(self.faults.unplug) {
             println!("camera: unplugged at frame {number}");
+            thread::sleep(IN_FLIGHT);
             let _ = fs::write(format!("{CONTROLLER}/detach"), "0");
             exit(0);
         }
@@ -261,26 +278,34 @@ impl Control {
     }
 }
 
-fn faults() -> Faults {
+fn options() -> (Faults, Option<File>) {
     let mut faults = Faults::default();
+    let mut log = None;
     let mut arguments = std::env::args().skip(1);
     while let Some(option) = arguments.next() {
         if option == "--d16" {
             faults.d16 = true;
             continue;
         }
-        let number = arguments.next().and_then(|n| n.parse().ok());
+        let value = arguments.next();
+        if option == "--log" {
+            let path = value.expect("--log needs a file");
+            log = Some(File::create(path).expect("the log can be written"));
+            continue;
+        }
+        let number = value.and_then(|n| n.parse().ok());
         let number = Some(number.unwrap_or_else(|| panic!("{option} needs a frame number")));
         match option.as_str() {
             "--unplug" => faults.unplug = number,
             "--stall" => faults.stall = number,
+            "--pause" => faults.pause = number,
             "--silent" => faults.silent = number,
             "--damage" => faults.damage = number,
             "--cut" => faults.cut = number,
             _ => panic!("unknown option {option}"),
         }
     }
-    faults
+    (faults, log)
 }
 
 fn main() {
@@ -290,8 +315,11 @@ fn main() {
     fs::write(format!("{CONTROLLER}/attach"), attach).expect("vhci-hcd is loaded, port 0 free");
     drop(kernel);
     let mut from_host = host.try_clone().expect("a second handle");
+    let (faults, log) = options();
     let camera = Arc::new(Camera {
-        faults: faults(),
+        faults,
+        log,
+        rested: AtomicBool::new(false),
         host: Mutex::new(host),
         stream: Mutex::new(Stream {
             waiting: VecDeque::new(),

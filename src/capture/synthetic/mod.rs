@@ -30,6 +30,7 @@ mod tests;
 mod truth;
 
 pub use generate::generate;
+use options::Fault;
 pub use options::SyntheticOptions;
 pub use scene::Scene;
 pub use sensor::{NoiseModel, Sensor};
@@ -81,7 +82,8 @@ impl SyntheticSource {
                 depth
             })
             .collect();
-        let schedule = Schedule::new(options.fps * options.speed, options.stall);
+        let pauses = [options.stall, options.unplug];
+        let schedule = Schedule::new(options.fps * options.speed, pauses);
         Ok(Self {
             options,
             camera,
@@ -125,8 +127,28 @@ impl SyntheticSource {
             .unwrap_or(index)
     }
 
+    /// Counts frame `index` as lost where it is to be, with those skipped before it.
+    fn loses(&mut self, index: u64) -> bool {
+        let Some(fault) = self.options.fault(index) else {
+            return false;
+        };
+        self.losses.sensor_gap += index.saturating_sub(self.next);
+        match fault {
+            Fault::Lost => self.losses.sensor_gap += 1,
+            Fault::Damaged => self.losses.damaged += 1,
+        }
+        self.next = index + 1;
+        true
+    }
+
     fn next_unpaced(&mut self, frame: &mut DepthFrame) -> Next {
         let index = self.next;
+        if self.ended(index) {
+            return Next::End;
+        }
+        if self.loses(index) {
+            return Next::Waiting(None);
+        }
         self.next += 1;
         self.render(index, &mut frame.depth);
         frame.sequence = index;
@@ -146,6 +168,7 @@ impl SyntheticSource {
         let index = loop {
             let now = monotonic_ns()?;
             match self.driver.turn(now - start) {
+                Turn::Ready(index) if !self.ended(index) && self.loses(index) => {}
                 Turn::Ready(index) => break index,
                 Turn::Due(index, _) if self.ended(index) => return Ok(Next::End),
                 Turn::Due(index, due) => {
@@ -158,9 +181,7 @@ impl SyntheticSource {
                     }
                     let left = POLL_NS - (now - asked);
                     if left <= 0 {
-                        let stalled = self.options.stall > 0 && due - (now - start) > 0;
-                        let why = stalled.then(|| "synthetic sensor stalled, waiting".to_owned());
-                        return Ok(Next::Waiting(why));
+                        return Ok(Next::Waiting(self.pause(index)));
                     }
                     let wait = (due - (now - start)).clamp(0, left);
                     std::thread::sleep(Duration::from_nanos(wait as u64));
@@ -184,6 +205,16 @@ impl SyntheticSource {
             wall_ns: wall_ns() - (monotonic_ns()? - device_ns),
         };
         Ok(Next::Frame)
+    }
+
+    /// Why frame `index` is long in coming, where it is meant to be.
+    fn pause(&self, index: u64) -> Option<String> {
+        let follows = |every: u64| every > 0 && index.is_multiple_of(every);
+        if follows(self.options.unplug) {
+            Some("synthetic sensor unplugged, waiting for it".to_owned())
+        } else {
+            follows(self.options.stall).then(|| "synthetic sensor stalled, waiting".to_owned())
+        }
     }
 
     fn ended(&self, index: u64) -> bool {
@@ -213,6 +244,18 @@ impl FrameSource for SyntheticSource {
         } else {
             Ok(self.next_unpaced(frame))
         }
+    }
+
+    fn notes(&self) -> Vec<(&'static str, String)> {
+        let clock = match self.options.paced {
+            true => "CLOCK_MONOTONIC of the capturing machine, when the frame was due",
+            false => "the scene's own, from 0",
+        };
+        vec![
+            ("intrinsics_from", "the synthetic sensor".to_owned()),
+            ("depth_unit_from", "the synthetic sensor".to_owned()),
+            ("clock", clock.to_owned()),
+        ]
     }
 
     fn losses(&self) -> SourceLosses {

@@ -2,7 +2,9 @@
 
 use super::scene::Scene;
 use super::sensor::NoiseModel;
+use super::surface::Pose;
 use crate::capture::CaptureError;
+use glam::{DQuat, DVec3};
 use std::fmt::Display;
 use std::str::FromStr;
 
@@ -38,6 +40,16 @@ pub struct SyntheticOptions {
     pub burst: u64,
     /// Silent for a second after every so many frames; 0 = never.
     pub stall: u64,
+    /// The camera is unplugged for a second after every so many frames; 0 = never.
+    pub unplug: u64,
+    /// Every so many frames one is lost by the sensor; 0 = none.
+    pub gap: u64,
+    /// Every so many frames one arrives damaged and is skipped; 0 = none.
+    pub damage: u64,
+    /// Where the camera stands in the scene, metres (the usual place is the origin).
+    pub at: [f64; 3],
+    /// How far it is turned to the right and up, degrees.
+    pub turn: [f64; 2],
     /// Frames rendered when the source is opened and then repeated for ever; 0 = render as they
     /// come. For sizes and rates this machine cannot render in time.
     pub prerender: u32,
@@ -45,8 +57,15 @@ pub struct SyntheticOptions {
     pub paced: bool,
 }
 
+/// What goes wrong with a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fault {
+    Lost,
+    Damaged,
+}
+
 /// Keys of the text form, with what they take.
-const KEYS: [(&str, &str); 14] = [
+const KEYS: [(&str, &str); 20] = [
     ("width", "pixels"),
     ("height", "pixels"),
     ("size", "WIDTHxHEIGHT"),
@@ -59,6 +78,12 @@ const KEYS: [(&str, &str); 14] = [
     ("cut", "frames per view"),
     ("burst", "frames per burst"),
     ("stall", "frames between stalls"),
+    ("unplug", "frames between unplugs"),
+    ("gap", "frames to a lost one"),
+    ("damage", "frames to a damaged one"),
+    ("at", "X/Y/Z metres"),
+    ("yaw", "degrees to the right"),
+    ("pitch", "degrees up"),
     ("prerender", "frames"),
     ("paced", "true|false"),
 ];
@@ -83,6 +108,11 @@ impl SyntheticOptions {
             cut: if scene == Scene::Cut { 30 } else { 0 },
             burst: if scene == Scene::Noise { 15 } else { 0 },
             stall: if scene == Scene::Stall { 60 } else { 0 },
+            unplug: 0,
+            gap: 0,
+            damage: 0,
+            at: [0.0; 3],
+            turn: [0.0; 2],
             prerender: 0,
             paced: true,
         }
@@ -120,6 +150,26 @@ impl SyntheticOptions {
         options.validated()
     }
 
+    /// Where the camera stands: its frame to the scene's.
+    #[must_use]
+    pub fn placement(&self) -> Pose {
+        let [yaw, pitch] = self.turn.map(f64::to_radians);
+        Pose {
+            rotation: DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch),
+            position: DVec3::from_array(self.at),
+        }
+    }
+
+    /// What becomes of a frame before anybody can read it.
+    pub(super) fn fault(&self, index: u64) -> Option<Fault> {
+        let is_due = |every: u64| every > 0 && (index + 1).is_multiple_of(every);
+        if is_due(self.gap) {
+            Some(Fault::Lost)
+        } else {
+            is_due(self.damage).then_some(Fault::Damaged)
+        }
+    }
+
     fn set(&mut self, key: &str, value: &str) -> Result<(), CaptureError> {
         match key {
             "width" => self.width = number(key, value)?,
@@ -145,6 +195,20 @@ impl SyntheticOptions {
             "cut" => self.cut = number(key, value)?,
             "burst" => self.burst = number(key, value)?,
             "stall" => self.stall = number(key, value)?,
+            "unplug" => self.unplug = number(key, value)?,
+            "gap" => self.gap = number(key, value)?,
+            "damage" => self.damage = number(key, value)?,
+            "at" => {
+                let place: Vec<f64> = value
+                    .split('/')
+                    .map(|part| number(key, part))
+                    .collect::<Result<_, _>>()?;
+                self.at = place.try_into().map_err(|_| {
+                    CaptureError::Usage(format!("at is X/Y/Z in metres, not `{value}`"))
+                })?;
+            }
+            "yaw" => self.turn[0] = number(key, value)?,
+            "pitch" => self.turn[1] = number(key, value)?,
             "prerender" => self.prerender = number(key, value)?,
             "paced" => self.paced = number(key, value)?,
             _ => {
@@ -172,6 +236,11 @@ impl SyntheticOptions {
         in_range("fps", self.fps, 0.01, 10_000.0)?;
         in_range("unit", self.unit_m, 1e-6, 0.1)?;
         in_range("speed", self.speed, 0.01, 100.0)?;
+        for value in self.at {
+            in_range("at", value, -100.0, 100.0)?;
+        }
+        in_range("yaw", self.turn[0], -360.0, 360.0)?;
+        in_range("pitch", self.turn[1], -90.0, 90.0)?;
         let ahead = u64::from(self.prerender) * pixels * 2;
         if ahead > MAX_PRERENDER_BYTES {
             return Err(CaptureError::Usage(format!(
@@ -219,7 +288,7 @@ mod tests {
     fn the_text_form_sets_every_option() {
         let parsed = SyntheticOptions::parse(
             "synthetic:walk,width=848,height=480,fps=90,seed=7,noise=stereo,frames=100,unit=0.0001,\
-         speed=2,cut=9,burst=8,stall=7,prerender=6,paced=false",
+         speed=2,cut=9,burst=8,stall=7,unplug=40,gap=11,damage=13,at=1.5/0/-2,yaw=-30,pitch=5,prerender=6,paced=false",
         );
         let expected = SyntheticOptions {
             scene: Scene::Walk,
@@ -234,6 +303,11 @@ mod tests {
             cut: 9,
             burst: 8,
             stall: 7,
+            unplug: 40,
+            gap: 11,
+            damage: 13,
+            at: [1.5, 0.0, -2.0],
+            turn: [-30.0, 5.0],
             prerender: 6,
             paced: false,
         };
@@ -261,6 +335,9 @@ mod tests {
             ("room,unit=0", "unit=0 is out of range"),
             ("room,speed=1e9", "out of range"),
             ("room,prerender=4000000", "bytes"),
+            ("room,at=1/2", "X/Y/Z"),
+            ("room,at=1/2/nan", "at=NaN is out of range"),
+            ("room,pitch=91", "-90 to 90"),
         ] {
             match SyntheticOptions::parse(text) {
                 Err(CaptureError::Usage(message)) => {

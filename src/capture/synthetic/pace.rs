@@ -5,30 +5,32 @@
 
 /// Buffers of the imitated driver.
 const BUFFERS: usize = 2;
-/// Length of a stall, nanoseconds.
-pub(super) const STALL_NS: i64 = 1_000_000_000;
+/// Length of a stall, and of an unplug, nanoseconds.
+pub(super) const PAUSE_NS: i64 = 1_000_000_000;
 
 /// When frames are due, nanoseconds after the first.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     period_ns: f64,
-    /// A stall follows every so many frames; 0 = never.
-    stall: u64,
+    /// A pause of a second follows every so many frames, of two kinds; 0 = never.
+    pauses: [u64; 2],
 }
 
 impl Schedule {
-    pub fn new(frames_per_second: f64, stall: u64) -> Self {
+    pub fn new(frames_per_second: f64, pauses: [u64; 2]) -> Self {
         Self {
             period_ns: 1e9 / frames_per_second,
-            stall,
+            pauses,
         }
     }
 
     /// When frame `index` is due.
     pub fn due_ns(&self, index: u64) -> i64 {
-        let stalls = index.checked_div(self.stall).unwrap_or(0);
-        ((index as f64 * self.period_ns) as i64)
-            .saturating_add((stalls as i64).saturating_mul(STALL_NS))
+        let pauses = self
+            .pauses
+            .map(|every| index.checked_div(every).unwrap_or(0));
+        let pauses = i64::try_from(pauses[0].saturating_add(pauses[1])).unwrap_or(i64::MAX);
+        ((index as f64 * self.period_ns) as i64).saturating_add(pauses.saturating_mul(PAUSE_NS))
     }
 
     /// Number of frames due at `now_ns` or before.
@@ -103,7 +105,7 @@ mod tests {
 
     #[test]
     fn a_reader_in_time_gets_every_frame() {
-        let mut driver = Driver::new(Schedule::new(100.0, 0));
+        let mut driver = Driver::new(Schedule::new(100.0, [0, 0]));
         for index in 0..50 {
             let due = index as i64 * 10 * MS;
             assert_eq!(driver.turn(due - 1), Turn::Due(index, due));
@@ -113,7 +115,7 @@ mod tests {
 
     #[test]
     fn a_late_reader_gets_the_two_oldest_and_then_a_gap() {
-        let mut driver = Driver::new(Schedule::new(100.0, 0));
+        let mut driver = Driver::new(Schedule::new(100.0, [0, 0]));
         assert_eq!(driver.turn(0), Turn::Ready(0));
         // frames 1 and 2 fill the buffers, 3 to 9 find none
         assert_eq!(driver.turn(95 * MS), Turn::Ready(1));
@@ -124,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_stall_moves_all_later_frames_by_a_second() {
-        let schedule = Schedule::new(100.0, 5);
+        let schedule = Schedule::new(100.0, [5, 0]);
         assert_eq!(schedule.due_ns(4), 40 * MS);
         assert_eq!(schedule.due_ns(5), 1_050 * MS);
         assert_eq!(schedule.due_ns(10), 2_100 * MS);

@@ -119,6 +119,11 @@ impl Painter {
         let (scene, shot) = (self.options.scene, self.shot(index));
         let time_s = index as f64 / self.options.fps;
         self.world.set(scene, self.options.seed, shot, time_s);
+        let place = self.options.placement();
+        self.world.pose = Pose {
+            position: place.to_world(self.world.pose.position),
+            rotation: place.rotation * self.world.pose.rotation,
+        };
         let still = scene.camera_is_still().then_some(shot);
         self.renderer.draw(
             &self.world.surfaces,

@@ -13,6 +13,17 @@ use crate::frame::{Camera, Intrinsics};
 /// Metres per integer when neither user nor camera says.
 const USUAL_UNIT_M: f64 = 0.001;
 
+/// Where a camera's geometry comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Origin {
+    pub intrinsics: &'static str,
+    pub depth_unit: &'static str,
+}
+
+const GIVEN: &str = "given by the user";
+const TOLD: &str = "told by the camera";
+const ASSUMED: &str = "assumed";
+
 /// The camera's geometry: what the user gave, else what the camera says of itself.
 pub(super) fn camera(
     options: &V4l2Options,
@@ -20,7 +31,7 @@ pub(super) fn camera(
     usb: Option<&UsbDevice>,
     node: &VideoNode,
     plan: &Plan,
-) -> Result<Camera, CaptureError> {
+) -> Result<(Camera, Origin), CaptureError> {
     let size = (plan.width, plan.height);
     let wanted = options.intrinsics.is_none() || options.depth_unit_m.is_none();
     let own = match usb {
@@ -40,17 +51,23 @@ pub(super) fn camera(
             ))
         })?,
     };
-    Ok(Camera {
+    let (depth_unit_m, depth_unit) = depth_unit_m(options, own.depth_unit_m, report, plan.format)?;
+    let origin = Origin {
+        intrinsics: options.intrinsics.map_or(TOLD, |_| GIVEN),
+        depth_unit,
+    };
+    let camera = Camera {
         width: plan.width,
         height: plan.height,
         intrinsics,
-        depth_unit_m: depth_unit_m(options, own.depth_unit_m, report, plan.format)?,
+        depth_unit_m,
         invalid: options.invalid.clone(),
         depth_min_m: options.depth_min_m,
         depth_max_m: options.depth_max_m,
         fps: plan.fps,
         name: report.card.clone(),
-    })
+    };
+    Ok((camera, origin))
 }
 
 fn depth_unit_m(
@@ -58,11 +75,11 @@ fn depth_unit_m(
     own: Option<f64>,
     report: &DeviceReport,
     format: DepthFormat,
-) -> Result<f64, CaptureError> {
+) -> Result<(f64, &'static str), CaptureError> {
     let device = report.path.display();
-    let (unit, source) = match (options.depth_unit_m, own) {
-        (Some(given), _) => (given, "as given"),
-        (None, Some(own)) => (own, "as the camera says"),
+    let unit = match (options.depth_unit_m, own) {
+        (Some(given), _) => (given, GIVEN),
+        (None, Some(own)) => (own, TOLD),
         // Packed 10-bit is raw disparity on the Kinect: no unit makes metres of it.
         (None, None) if format == DepthFormat::Y10Packed => {
             return Err(CaptureError::Usage(format!(
@@ -71,9 +88,15 @@ fn depth_unit_m(
                 format.fourcc()
             )));
         }
-        (None, None) => (USUAL_UNIT_M, "assumed, --depth-unit changes it"),
+        (None, None) => (USUAL_UNIT_M, ASSUMED),
     };
-    tracing::info!("{device}: depth unit {unit} m ({source})");
+    if unit.1 == ASSUMED {
+        tracing::warn!(
+            "{device}: the camera does not say its depth unit: {} mm is assumed, --depth-unit \
+             changes it",
+            unit.0 * 1e3
+        );
+    }
     Ok(unit)
 }
 
@@ -114,6 +137,8 @@ mod tests {
             kind: NodeKind::Depth,
             depth: true,
             reason: "depth".into(),
+            busy: None,
+            held_by: Vec::new(),
             formats: Vec::new(),
         }
     }
@@ -144,11 +169,16 @@ mod tests {
             };
             depth_unit_m(&options, own, &report(), format)
         };
-        assert_eq!(unit(Some(0.5), Some(0.1), DepthFormat::Z16).unwrap(), 0.5);
-        assert_eq!(unit(None, Some(0.1), DepthFormat::Z16).unwrap(), 0.1);
-        assert_eq!(unit(None, None, DepthFormat::Y12).unwrap(), 0.001);
+        let z16 = DepthFormat::Z16;
+        assert_eq!(unit(Some(0.5), Some(0.1), z16).unwrap(), (0.5, GIVEN));
+        assert_eq!(unit(None, Some(0.1), z16).unwrap(), (0.1, TOLD));
+        assert_eq!(
+            unit(None, None, DepthFormat::Y12).unwrap(),
+            (0.001, ASSUMED)
+        );
         let error = unit(None, None, DepthFormat::Y10Packed).unwrap_err();
         assert!(error.to_string().contains("--depth-unit"));
-        assert_eq!(unit(Some(0.5), None, DepthFormat::Y10Packed).unwrap(), 0.5);
+        let packed = unit(Some(0.5), None, DepthFormat::Y10Packed);
+        assert_eq!(packed.unwrap(), (0.5, GIVEN));
     }
 }

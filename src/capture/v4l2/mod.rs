@@ -2,7 +2,7 @@
 //!
 //! [`V4l2Source`] opens a node (`setup`), drains its buffers (`ring`) and turns each into a frame
 //! ([`depth_format`], [`clock`], [`loss`]). What a camera may do to us (stall, break, leave and
-//! come back) is met in one place, its `next`; the decisions themselves are pure.
+//! come back) is met in one place (`recovery`); the decisions themselves are pure.
 
 pub mod clock;
 pub mod depth_format;
@@ -16,31 +16,32 @@ pub mod node_kind;
 pub mod offer;
 mod realsense;
 pub mod reconnect;
+mod recovery;
 pub mod refusal;
+mod reopen;
 mod ring;
 mod setup;
 pub mod usb;
 
 use super::color::ColorSource;
-use super::{CaptureError, FrameSource, Next, SourceLosses, devices};
+use super::{CaptureError, FrameSource, Next, SourceLosses};
 use crate::frame::{Camera, ColorFrame, DepthFrame, Intrinsics};
 use clock::{ClockNote, FrameClock, monotonic_ns};
 use depth_format::Rows;
-use loss::{SequenceCounter, Silence, judge_silence};
+use loss::SequenceCounter;
 use negotiation::{Plan, Wish};
-use node::VideoNode;
 use reconnect::Identity;
-use refusal::Outlook;
+use reopen::Reopening;
 use ring::{Ring, Waited};
-use setup::{Opened, Refused};
-use std::io;
+use setup::Opened;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// How to open a depth camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct V4l2Options {
-    /// `/dev/videoN`, `N`, or `auto` for the first node that says it is depth.
+    /// `/dev/videoN`, `N`, a serial number, a bus id, or `auto`
+    /// ([`DeviceName`](super::devices::naming::DeviceName)).
     pub device: String,
     /// Width and height, pixels; `None` takes the size nearest to 640×480.
     pub size: Option<(u32, u32)>,
@@ -60,8 +61,8 @@ pub struct V4l2Options {
     pub depth_max_m: f64,
     /// Depth integers that mean "no measurement", beside 0.
     pub invalid: Vec<u16>,
-    /// Wait for an unplugged camera to come back instead of ending.
-    pub reconnect: bool,
+    /// How long to wait for a camera that is unplugged, silent or broken; `None` waits for ever.
+    pub give_up: Option<Duration>,
 }
 
 impl Default for V4l2Options {
@@ -77,17 +78,13 @@ impl Default for V4l2Options {
             depth_min_m: 0.0,
             depth_max_m: 65.0,
             invalid: Vec::new(),
-            reconnect: false,
+            give_up: None,
         }
     }
 }
 
 /// Longest time [`V4l2Source::next`] takes to say that there is no frame.
 const POLL: Duration = Duration::from_millis(150);
-/// Pause before a broken stream is started anew, or a driver without a frame is asked again.
-const RETRY: Duration = Duration::from_millis(20);
-/// Restarts after errors without a frame between them.
-const MAX_RESTARTS: u32 = 3;
 
 /// A depth camera behind a V4L2 node. Stopped and closed on drop.
 pub struct V4l2Source {
@@ -98,7 +95,7 @@ pub struct V4l2Source {
     wish: Wish,
     rows: Rows,
     link: Link,
-    reconnect: bool,
+    give_up: Option<Duration>,
     counter: SequenceCounter,
     clock: FrameClock,
     clock_noted: Option<ClockNote>,
@@ -106,14 +103,19 @@ pub struct V4l2Source {
     frames: u64,
     last_frame: Instant,
     restarts: u32,
+    /// Why the camera is still away.
+    trouble: String,
+    notes: Vec<(&'static str, String)>,
     color: Option<ColorSource>,
 }
 
 /// Whether there is a stream.
 enum Link {
     Streaming(Ring),
-    /// The camera is unplugged, or its stream could not be started again yet.
-    Lost,
+    /// The camera is being looked for, or its stream started anew.
+    Opening(Reopening),
+    /// It was not found, or would not start: it is looked for again then.
+    Lost(Instant),
 }
 
 /// What one look at the camera gave.
@@ -140,6 +142,8 @@ impl V4l2Source {
             wish,
             camera,
             identity,
+            from_zero,
+            notes,
         } = setup::open(options)?;
         tracing::info!(
             "{}: `{}` {} {}x{} at {} frames/s",
@@ -158,14 +162,16 @@ impl V4l2Source {
             wish,
             rows,
             link: Link::Streaming(ring),
-            reconnect: options.reconnect,
-            counter: SequenceCounter::default(),
+            give_up: options.give_up,
+            counter: SequenceCounter::new(from_zero),
             clock: FrameClock::now(),
             clock_noted: None,
             losses: SourceLosses::default(),
             frames: 0,
             last_frame: Instant::now(),
             restarts: 0,
+            trouble: String::new(),
+            notes,
             color: None,
         })
     }
@@ -251,121 +257,6 @@ impl V4l2Source {
             }
         }
     }
-
-    /// No frame within the timeout.
-    fn silent(&mut self) -> Result<Step, CaptureError> {
-        let silent = self.last_frame.elapsed();
-        let text = format!("no frame for {:.1} s", silent.as_secs_f64());
-        match judge_silence(silent, self.restarts, self.reconnect) {
-            Silence::Wait => Ok(Step::Waiting(None)),
-            Silence::Tell => Ok(Step::Waiting(Some(text))),
-            Silence::Restart => {
-                self.restarts += 1;
-                // The frame the camera may have been sending is given up.
-                self.losses.stall += 1;
-                self.restart()?;
-                Ok(Step::Waiting(Some(text + ", stream started again")))
-            }
-            Silence::GiveUp => Err(CaptureError::Device {
-                device: self.path.display().to_string(),
-                what: format!("{text} after {} frames", self.frames),
-                remedy: "unplug the camera and plug it in again; `dmesg` may say more".into(),
-            }),
-        }
-    }
-
-    /// The driver reported an error instead of a frame.
-    fn broken(&mut self, error: &io::Error) -> Result<Step, CaptureError> {
-        match refusal::outlook(error) {
-            Outlook::Again => {
-                std::thread::sleep(RETRY);
-                Ok(Step::Again)
-            }
-            Outlook::Gone => self.gone(error),
-            Outlook::Restart if self.restarts < MAX_RESTARTS || self.reconnect => {
-                self.restarts += 1;
-                tracing::warn!(
-                    "{}: {error}; starting the stream again",
-                    self.path.display()
-                );
-                std::thread::sleep(RETRY);
-                self.restart()?;
-                Ok(Step::Waiting(None))
-            }
-            Outlook::Restart | Outlook::Final => {
-                Err(refusal::device_error(&self.path, "read a frame", error))
-            }
-        }
-    }
-
-    /// Closes the node and opens it again: nothing of a broken stream is kept.
-    fn restart(&mut self) -> Result<(), CaptureError> {
-        self.link = Link::Lost;
-        match self.start_at(&self.path.clone()) {
-            Ok(()) => Ok(()),
-            Err(_) if self.reconnect => Ok(()),
-            Err(refused) => Err(refused.at(&self.path)),
-        }
-    }
-
-    fn start_at(&mut self, path: &Path) -> Result<(), Refused> {
-        let node = VideoNode::open(path).map_err(|error| Refused::System {
-            doing: "open it again",
-            error,
-        })?;
-        let (ring, rows, _) = setup::start(node, &self.plan, &self.wish)?;
-        self.rows = rows;
-        self.link = Link::Streaming(ring);
-        self.counter.restart();
-        Ok(())
-    }
-
-    fn gone(&mut self, error: &io::Error) -> Result<Step, CaptureError> {
-        self.link = Link::Lost;
-        let text = format!(
-            "`{}` was unplugged after {} frames",
-            self.camera.name, self.frames
-        );
-        if !self.reconnect {
-            tracing::debug!(%error, "the camera is gone");
-            return Err(CaptureError::Device {
-                device: self.path.display().to_string(),
-                what: text,
-                remedy: "check the cable, plug it in again and start again".into(),
-            });
-        }
-        tracing::warn!("{}: {text}; waiting for it", self.path.display());
-        Ok(Step::Waiting(Some(text + ", waiting for it")))
-    }
-
-    /// Looks for the camera among those present, whatever its node's number is now.
-    fn come_back(&mut self, pause: Duration) -> Step {
-        std::thread::sleep(pause);
-        let depth: Vec<_> = devices::video_nodes()
-            .iter()
-            .map(|path| devices::describe(path))
-            .filter(|d| {
-                let code = self.plan.format.fourcc();
-                d.formats.iter().any(|f| f.pixel_format == code)
-            })
-            .collect();
-        let present: Vec<Identity> = depth.iter().map(setup::identity).collect();
-        let Some(found) = reconnect::find_again(&self.identity, &present) else {
-            let text = format!("waiting for `{}` to be plugged in", self.camera.name);
-            return Step::Waiting(Some(text));
-        };
-        let path = depth[found].path.clone();
-        match self.start_at(&path) {
-            Ok(()) => {
-                tracing::info!("{}: `{}` is back", path.display(), self.camera.name);
-                self.path = path;
-                self.last_frame = Instant::now();
-                self.restarts = 0;
-                Step::Again
-            }
-            Err(refused) => Step::Waiting(Some(refused.at(&path).to_string())),
-        }
-    }
 }
 
 impl FrameSource for V4l2Source {
@@ -383,7 +274,7 @@ impl FrameSource for V4l2Source {
             let left = until.saturating_duration_since(Instant::now());
             let step = match self.link {
                 Link::Streaming(_) => self.read(frame, left)?,
-                Link::Lost => self.come_back(left),
+                Link::Opening(_) | Link::Lost(_) => self.come_back(left)?,
             };
             match step {
                 Step::Frame => return Ok(Next::Frame),
@@ -400,5 +291,9 @@ impl FrameSource for V4l2Source {
 
     fn losses(&self) -> SourceLosses {
         self.losses
+    }
+
+    fn notes(&self) -> Vec<(&'static str, String)> {
+        self.notes.clone()
     }
 }

@@ -138,6 +138,21 @@ impl VideoNode {
         })
     }
 
+    /// Whether a program streams from the node; `None` where the driver does not say.
+    ///
+    /// Asks for no buffers, which only their owner may: nothing is changed either way.
+    #[must_use]
+    pub fn is_busy(&self) -> Option<bool> {
+        let mut ask = sys::v4l2_requestbuffers::zeroed();
+        ask.type_ = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;
+        ask.memory = sys::v4l2_memory_V4L2_MEMORY_MMAP;
+        match self.request(vidioc::VIDIOC_REQBUFS, &mut ask) {
+            Ok(()) => Some(false),
+            Err(error) if error.raw_os_error() == Some(libc::EBUSY) => Some(true),
+            Err(_) => None,
+        }
+    }
+
     /// All formats with their sizes and rates. Empty for a node without images.
     #[must_use]
     pub fn formats(&self) -> Vec<OfferedFormat> {

@@ -1,6 +1,7 @@
 //! What the system says when it refuses, in words with a remedy.
 
 use crate::capture::CaptureError;
+use crate::capture::devices::access;
 use std::io;
 use std::path::Path;
 
@@ -13,8 +14,6 @@ pub enum Outlook {
     Gone,
     /// The stream broke; a new one may work.
     Restart,
-    /// Nothing will change by itself.
-    Final,
 }
 
 /// Judges an error of a running stream.
@@ -23,10 +22,7 @@ pub fn outlook(error: &io::Error) -> Outlook {
     match error.raw_os_error() {
         Some(libc::EAGAIN) => Outlook::Again,
         Some(libc::ENODEV | libc::ENXIO | libc::ENOENT | libc::ESHUTDOWN) => Outlook::Gone,
-        Some(libc::EIO | libc::EPIPE | libc::EPROTO | libc::EILSEQ | libc::EINVAL) => {
-            Outlook::Restart
-        }
-        _ => Outlook::Final,
+        _ => Outlook::Restart,
     }
 }
 
@@ -35,7 +31,8 @@ pub fn outlook(error: &io::Error) -> Outlook {
 pub fn device_error(device: &Path, doing: &str, error: &io::Error) -> CaptureError {
     let (what, remedy) = explain(doing, error);
     let remedy = match error.raw_os_error() {
-        Some(libc::EBUSY) => match holders(device) {
+        Some(libc::EACCES | libc::EPERM) => access::permission_remedy(device),
+        Some(libc::EBUSY) => match access::holders(device) {
             names if names.is_empty() => remedy.to_string(),
             names => format!("{remedy}; it is open in {}", names.join(", ")),
         },
@@ -67,9 +64,6 @@ fn explain(doing: &str, error: &io::Error) -> (String, &'static str) {
     };
     let remedy = match error.raw_os_error() {
         Some(libc::ENOENT) => "plug the camera in; `saint-live devices` lists what there is",
-        Some(libc::EACCES | libc::EPERM) => {
-            "join the group `video` (sudo usermod -aG video \"$USER\"), then log in again"
-        }
         Some(libc::EBUSY) => "close the program that holds it (`fuser -v` on the device names it)",
         Some(libc::ENODEV | libc::ENXIO | libc::ESHUTDOWN) => {
             "check the cable and plug it in again"
@@ -84,30 +78,6 @@ fn explain(doing: &str, error: &io::Error) -> (String, &'static str) {
         _ => "unplug the camera and plug it in again, in another port if it repeats",
     };
     (format!("could not {doing}: {reason}"), remedy)
-}
-
-/// Programs that have a device open, as far as this user may see: `name (pid 123)`.
-fn holders(device: &Path) -> Vec<String> {
-    let mut names = Vec::new();
-    let own = std::process::id().to_string();
-    for process in std::fs::read_dir("/proc").into_iter().flatten().flatten() {
-        let pid = process.file_name().to_string_lossy().into_owned();
-        if pid == own || !pid.bytes().all(|b| b.is_ascii_digit()) {
-            continue;
-        }
-        let open_files = std::fs::read_dir(process.path().join("fd"));
-        let holds = open_files
-            .into_iter()
-            .flatten()
-            .flatten()
-            .any(|file| std::fs::read_link(file.path()).is_ok_and(|to| to == device));
-        if holds {
-            let name = std::fs::read_to_string(process.path().join("comm")).unwrap_or_default();
-            names.push(format!("{} (pid {pid})", name.trim()));
-        }
-    }
-    names.sort();
-    names
 }
 
 #[cfg(test)]
@@ -147,13 +117,13 @@ mod tests {
     }
 
     #[test]
-    fn a_running_stream_is_asked_again_restarted_or_given_up() {
+    fn a_running_stream_is_asked_again_restarted_or_looked_for() {
         for (errno, want) in [
             (libc::EAGAIN, Outlook::Again),
             (libc::ENODEV, Outlook::Gone),
             (libc::EIO, Outlook::Restart),
             (libc::EINVAL, Outlook::Restart),
-            (libc::ENOMEM, Outlook::Final),
+            (libc::ENOMEM, Outlook::Restart),
         ] {
             assert_eq!(
                 outlook(&io::Error::from_raw_os_error(errno)),

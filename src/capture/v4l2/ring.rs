@@ -13,6 +13,9 @@ use v4l::v4l2::vidioc;
 const CAPTURE: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;
 const MMAP: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 
+/// `V4L2_BUF_FLAG_DONE` of `<linux/videodev2.h>`: filled, and not taken yet.
+const DONE: u32 = 4;
+
 /// One buffer in our address space, unmapped on drop.
 #[derive(Debug)]
 struct Mapping {
@@ -196,6 +199,19 @@ impl Ring {
         unsafe {
             std::slice::from_raw_parts(mapping.start, length)
         }
+    }
+
+    /// Whole frames the driver holds for us. Of a broken stream they cannot be taken any more.
+    #[must_use]
+    pub fn finished(&self) -> u64 {
+        let states = (0..self.mappings.len()).map_while(|index| {
+            let mut buffer = Self::descriptor(u32::try_from(index).ok()?);
+            let asked = self.node.request(vidioc::VIDIOC_QUERYBUF, &mut buffer);
+            asked.ok().map(|()| buffer.flags)
+        });
+        let whole =
+            states.filter(|flags| flags & DONE != 0 && flags & sys::V4L2_BUF_FLAG_ERROR == 0);
+        whole.count() as u64
     }
 
     /// Gives a taken buffer back to the kernel.

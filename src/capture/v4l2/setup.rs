@@ -10,13 +10,17 @@ use super::ring::Ring;
 use super::usb;
 use super::{V4l2Options, geometry, grant, refusal};
 use crate::capture::CaptureError;
+use crate::capture::devices::naming::DeviceName;
 use crate::capture::devices::{self, DeviceReport};
 use crate::frame::Camera;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Buffers asked of the driver: one filling, one full. More only age the frames.
-const DRIVER_BUFFERS: u32 = 2;
+/// Buffers asked of the driver. The thread that drains it hands over the newest frame, so more
+/// buffers do not age frames; they bridge the time it may have to wait for a processor.
+const DRIVER_BUFFERS: u32 = 6;
+/// The driver whose frame numbers begin at 0 with each stream, lost frames counted.
+const FROM_ZERO: &str = "uvcvideo";
 /// Pixels per row and rows a frame may have at most.
 const MAX_SIDE: u32 = 16_384;
 
@@ -29,6 +33,10 @@ pub(super) struct Opened {
     pub wish: Wish,
     pub camera: Camera,
     pub identity: Identity,
+    /// The driver numbers the first frame of each stream 0.
+    pub from_zero: bool,
+    /// Where the camera is and what was taken for its geometry.
+    pub notes: Vec<(&'static str, String)>,
 }
 
 /// Why a stream did not start.
@@ -65,7 +73,7 @@ fn disagreement(path: &Path, mismatch: &Mismatch) -> CaptureError {
 /// Opens the camera the options name and starts its stream.
 pub(super) fn open(options: &V4l2Options) -> Result<Opened, CaptureError> {
     let wish = read_wish(options)?;
-    let path = find_node(&options.device)?;
+    let path = find_node(&options.device, wish.format)?;
     let system = |doing, error: io::Error| match error.raw_os_error() {
         Some(libc::ENOENT) => missing_node(&path, &error),
         _ => refusal::device_error(&path, doing, &error),
@@ -78,11 +86,27 @@ pub(super) fn open(options: &V4l2Options) -> Result<Opened, CaptureError> {
     check_kind(&report, wish.format)?;
     let plan = negotiation::plan(&wish, &report.formats).map_err(|m| disagreement(&path, &m))?;
     check_side(&path, &plan)?;
-    let mut camera = geometry::camera(options, &report, usb.as_ref(), &node, &plan)?;
+    let (mut camera, origin) = geometry::camera(options, &report, usb.as_ref(), &node, &plan)?;
     let (ring, rows, fps) = start(node, &plan, &wish).map_err(|r| r.at(&path))?;
     camera.fps = fps.or(plan.fps);
+    let serial = report.serial.as_ref();
+    let clock = "CLOCK_MONOTONIC of the capturing machine, start of exposure where the driver says";
+    let notes = [
+        ("device", path.display().to_string()),
+        ("driver", report.driver.clone()),
+        ("bus", report.bus.clone()),
+        ("serial", serial.cloned().unwrap_or_default()),
+        ("pixel_format", plan.format.fourcc().to_string()),
+        ("intrinsics_from", origin.intrinsics.to_owned()),
+        ("depth_unit_from", origin.depth_unit.to_owned()),
+        ("clock", clock.to_owned()),
+    ];
     Ok(Opened {
         identity: identity(&report),
+        from_zero: report.driver == FROM_ZERO,
+        notes: (notes.into_iter())
+            .filter(|(_, value)| !value.is_empty())
+            .collect(),
         path,
         ring,
         rows,
@@ -163,37 +187,26 @@ fn read_format(name: &str) -> Result<DepthFormat, CaptureError> {
         })
 }
 
-/// The node a `--device` names: a path, a number, or `auto` for the first depth camera.
-fn find_node(device: &str) -> Result<PathBuf, CaptureError> {
-    if !device.is_empty() && device.bytes().all(|b| b.is_ascii_digit()) {
-        return Ok(PathBuf::from(format!("/dev/video{device}")));
+/// The node a `--device` names, at which depth is (or the format asked for).
+fn find_node(device: &str, asked: Option<DepthFormat>) -> Result<PathBuf, CaptureError> {
+    let name = DeviceName::parse(device);
+    if let DeviceName::Path(path) = name {
+        return Ok(path);
     }
-    if device != "auto" {
-        return Ok(PathBuf::from(device));
-    }
-    let mut others = Vec::new();
-    for path in devices::video_nodes() {
-        let report = devices::describe(&path);
-        if report.depth {
-            return Ok(path);
-        }
-        others.push(match report.kind {
-            // The reason names the node already.
-            NodeKind::Unreadable => report.reason,
-            _ => format!("{}: {}", path.display(), report.reason),
-        });
-    }
-    let none = match others.len() {
-        0 => "there is no video device".to_string(),
-        _ => format!("no depth camera ({})", others.join("; ")),
+    let present = devices::describe_all();
+    let will_do = |report: &DeviceReport| match asked {
+        None => report.depth,
+        Some(format) => (report.formats.iter()).any(|f| f.pixel_format == format.fourcc()),
     };
-    let (note, remedy) = d16_note().unzip();
-    Err(CaptureError::Device {
-        device: "auto".into(),
-        what: none + &note.unwrap_or_default(),
-        remedy: remedy
-            .unwrap_or("plug a depth camera in, or name its node with --device")
-            .into(),
+    name.choose(&present, will_do, "depth").map_err(|none| {
+        let (note, remedy) = d16_note().unzip();
+        CaptureError::Device {
+            device: device.into(),
+            what: none + &note.unwrap_or_default(),
+            remedy: remedy
+                .unwrap_or("plug a depth camera in, or choose one that `saint-live devices` lists")
+                .into(),
+        }
     })
 }
 
@@ -291,6 +304,8 @@ mod tests {
             kind,
             depth: kind == NodeKind::Depth,
             reason: "the reason".into(),
+            busy: None,
+            held_by: Vec::new(),
             formats: codes.iter().map(format).collect(),
         }
     }
@@ -342,8 +357,11 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_a_node() {
-        assert_eq!(find_node("3").unwrap(), Path::new("/dev/video3"));
-        assert_eq!(find_node("/dev/depth").unwrap(), Path::new("/dev/depth"));
+    fn a_number_is_a_node_and_a_name_that_nobody_has_is_refused() {
+        let find = |device| find_node(device, None);
+        assert_eq!(find("3").unwrap(), Path::new("/dev/video3"));
+        assert_eq!(find("/dev/depth").unwrap(), Path::new("/dev/depth"));
+        let error = find("no-such-serial-number").unwrap_err().to_string();
+        assert!(error.starts_with("no-such-serial-number: "), "{error}");
     }
 }

@@ -1,6 +1,7 @@
 //! Frames as a stream: determinism, pacing, gaps, odd scenes.
 
 use super::*;
+use glam::DVec3;
 
 #[test]
 fn a_frame_depends_on_its_number_and_seed_alone() {
@@ -197,5 +198,71 @@ fn frames_are_the_same_bytes_on_every_machine() {
     assert_eq!(
         sums,
         [1_725_859_665, 3_783_252_144, 574_147_385, 3_549_264_067]
+    );
+}
+
+/// Numbers of the frames that come, and what is counted at the end.
+fn drain(options: SyntheticOptions) -> (Vec<u64>, SourceLosses) {
+    let mut source = open(options);
+    let mut frame = DepthFrame::default();
+    let mut numbers = Vec::new();
+    loop {
+        match source.next(&mut frame).expect("a frame or none") {
+            Next::Frame => numbers.push(frame.sequence),
+            Next::Waiting(_) => {}
+            Next::End => return (numbers, source.losses()),
+        }
+    }
+}
+
+#[test]
+fn faults_come_when_asked_for_and_are_counted() {
+    let options = SyntheticOptions {
+        gap: 10,
+        damage: 7,
+        frames: Some(75),
+        ..small(Scene::Empty)
+    };
+    // lost: 9, 19, ... 69; damaged: 6, 13, ... but 69, which is lost already
+    let (numbers, losses) = drain(options);
+    let want = |n: &u64| !(n + 1).is_multiple_of(10) && !(n + 1).is_multiple_of(7);
+    assert_eq!(numbers, (0..75).filter(want).collect::<Vec<_>>());
+    assert_eq!((losses.sensor_gap, losses.damaged, losses.stall), (7, 9, 0));
+
+    // a camera that does not wait: what a late reader misses is a gap, too
+    let paced = SyntheticOptions {
+        paced: true,
+        speed: 30.0,
+        ..options
+    };
+    let (numbers, losses) = drain(paced);
+    assert!(numbers.iter().all(want), "{numbers:?}");
+    let counted = numbers.len() as u64 + losses.sensor_gap + losses.damaged;
+    let last = numbers.last().copied().expect("frames");
+    assert!((last + 1..=75).contains(&counted), "{counted} after {last}");
+}
+
+#[test]
+fn a_camera_stands_where_it_is_put() {
+    let placed = SyntheticOptions {
+        at: [1.5, -0.25, -2.0],
+        turn: [90.0, 0.0],
+        ..small(Scene::Room)
+    };
+    let pose = open(placed).truth(0).pose;
+    let ahead = pose.to_world(DVec3::Z);
+    // it looks to the right now
+    assert!(
+        (ahead - DVec3::new(2.5, -0.25, -2.0)).length() < 1e-12,
+        "{ahead}"
+    );
+    let up = SyntheticOptions {
+        turn: [0.0, 90.0],
+        ..small(Scene::Room)
+    };
+    let ahead = up.placement().to_world(DVec3::Z);
+    assert!(
+        (ahead + DVec3::Y).length() < 1e-12,
+        "y points down: {ahead}"
     );
 }
