@@ -4,7 +4,7 @@
 //! all but a few pixels, a second or third only where it pays (`bits` below), and inside a block a
 //! pixel keeps the label of the pixel before it while that one still touches (hysteresis in space).
 
-use super::contact::{Reach, contacts};
+use super::contact::{Contact, Touch};
 use super::labels::NO_SPHERE;
 use crate::deproject::Rays;
 use crate::fit::sphere::Sphere;
@@ -58,6 +58,8 @@ pub struct BlockContacts {
     pub pixels: [u64; PALETTE],
     /// Measured pixels that none of them touches.
     pub missing: u64,
+    /// Measured pixels that are beyond reach along the ray: these and more.
+    pub rough: u64,
 }
 
 impl Default for BlockContacts {
@@ -66,78 +68,125 @@ impl Default for BlockContacts {
             palette: EMPTY,
             pixels: [0; PALETTE],
             missing: 0,
+            rough: 0,
         }
     }
 }
 
-/// Divides the measured pixels (`valid`) of the block at `at` among the candidates.
+/// Divides the measured pixels (`valid`) of the block at `at` among spheres: all to `first` where
+/// that one explains nearly all, else among the candidates that `others` gathers.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // one block's whole view
 pub fn assign(
     plane: &[u16],
     rays: &Rays,
     at: (usize, usize),
     valid: u64,
-    candidates: &Candidates,
+    first: u16,
+    others: impl FnOnce() -> Candidates,
     spheres: &[Option<Sphere>],
-    reach: &Reach,
+    contact: &Contact,
 ) -> BlockContacts {
     let mut out = BlockContacts {
         missing: valid,
+        rough: valid,
         ..Default::default()
     };
     if valid == 0 {
         return out;
     }
-    let mut touch = [0u64; CANDIDATES];
     let measured = valid.count_ones();
-    for (k, &id) in candidates.ids().iter().enumerate() {
-        let Some(Some(sphere)) = spheres.get(usize::from(id)) else {
-            continue;
+    let pixels = |id: u16| match spheres.get(usize::from(id)) {
+        Some(Some(sphere)) => {
+            let t = contact.pixels(plane, rays, at, sphere);
+            Touch {
+                touching: (t.touching | t.along_ray) & valid,
+                along_ray: t.along_ray & valid,
+            }
+        }
+        _ => Touch::default(),
+    };
+    // one that explains (nearly) all is taken: the rest is not even tried
+    let settles =
+        |t: Touch| (valid & !t.along_ray).count_ones() * MISS_BITS <= 18 && measured > 8;
+    let alone = |id: u16, t: Touch| {
+        let mut out = BlockContacts {
+            missing: valid & !t.touching,
+            rough: valid & !t.along_ray,
+            ..Default::default()
         };
-        touch[k] = contacts(plane, rays, at, sphere, reach) & valid;
-        // the first that explains (nearly) all is taken: the rest is not even tried
-        if (valid & !touch[k]).count_ones() * MISS_BITS <= 18 && measured > 8 {
-            out.palette[0] = id;
-            out.pixels[0] = touch[k];
-            out.missing = valid & !touch[k];
-            return out;
+        out.palette[0] = id;
+        out.pixels[0] = t.touching;
+        out
+    };
+    let own = pixels(first);
+    if settles(own) {
+        return alone(first, own);
+    }
+    let candidates = others();
+    let mut touch = [Touch::default(); CANDIDATES];
+    for (touch, &id) in touch.iter_mut().zip(candidates.ids()) {
+        *touch = if id == first { own } else { pixels(id) };
+        if settles(*touch) {
+            return alone(id, *touch);
         }
     }
-    // greedy cover
+    // greedy cover: first along the ray, then what merely touches
+    let touch = &mut touch[..candidates.len];
     let mut chosen = [0usize; PALETTE];
     let mut n = 0;
     let mut covered = 0u64;
-    while n < PALETTE {
-        let mut best = (0u32, 0usize);
-        for (k, &pixels) in touch.iter().enumerate().take(candidates.len) {
-            let gain = (pixels & !covered).count_ones() * MISS_BITS;
-            if gain > best.0 {
-                best = (gain, k);
+    let mut rough = valid;
+    for along_ray in [true, false] {
+        while n < PALETTE {
+            let mut best = (0u32, 0usize);
+            for (k, t) in touch.iter().enumerate() {
+                let pixels = if along_ray { t.along_ray } else { t.touching };
+                let gain = (pixels & !covered).count_ones() * MISS_BITS;
+                if gain > best.0 {
+                    best = (gain, k);
+                }
+            }
+            if best.0 <= SPLIT_BITS[n] {
+                break;
+            }
+            chosen[n] = best.1;
+            covered |= if along_ray {
+                touch[best.1].along_ray
+            } else {
+                touch[best.1].touching
+            };
+            n += 1;
+        }
+        if along_ray {
+            rough &= !covered;
+            for &k in &chosen[..n] {
+                covered |= touch[k].touching;
             }
         }
-        if best.0 <= SPLIT_BITS[n] {
-            break;
-        }
-        chosen[n] = best.1;
-        covered |= touch[best.1];
-        n += 1;
     }
     out.missing = valid & !covered;
+    out.rough = rough;
+    // a pixel that one of them reaches along the ray does not go to one that merely touches it
+    for &k in &chosen[..n] {
+        touch[k].touching &= touch[k].along_ray | rough;
+    }
+    let touch = |k: usize| touch[k].touching;
     let mut left = covered;
     let mut current = 0usize;
     // scan in the order of coding, stay with the current sphere while it touches
     while left != 0 {
         let first = left.trailing_zeros();
         let stays = chosen[..n].iter().enumerate().max_by_key(|&(c, &k)| {
-            let run = (!(touch[k] >> first) | !(left >> first))
+            let run = (!(touch(k) >> first) | !(left >> first))
                 .trailing_zeros()
                 .min(8 - first % 8);
             // the run to the end of the row, then whoever was on, then whoever has more
-            (run, u32::from(c == current), touch[k].count_ones())
+            (run, u32::from(c == current), touch(k).count_ones())
         });
         let Some((c, &k)) = stays else { break };
         current = c;
-        let run = (!(touch[k] >> first) | !(left >> first))
+        let run = (!(touch(k) >> first) | !(left >> first))
             .trailing_zeros()
             .clamp(1, 8 - first % 8);
         let taken = (((1u128 << run) - 1) as u64) << first;

@@ -159,6 +159,15 @@ impl Agglomeration {
         list.count += 1;
     }
 
+    /// Makes `patch` the union of `members`, roots without neighbours so far, under the first.
+    pub fn absorb(&mut self, members: [u32; 4], patch: Patch) {
+        let [keep, gone @ ..] = members;
+        self.patches[keep as usize] = patch;
+        for k in gone {
+            self.parent[k as usize] = keep;
+        }
+    }
+
     /// Number of patches pushed.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -190,15 +199,18 @@ impl Agglomeration {
     /// `allowed` restricts which pairs may be united (patches of one cell).
     pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) {
         self.heap.clear();
+        self.seen.resize(self.patches.len(), 0);
         for a in 0..self.patches.len() as u32 {
             if self.root(a) != a {
                 continue;
             }
+            self.stamp += 1;
             let mut entry = self.neighbours[a as usize].first;
             while entry != NONE {
                 let Link { to, next } = self.links[entry as usize];
                 let b = self.root(to);
-                if a < b && allowed(a, b) {
+                if a < b && self.seen[b as usize] != self.stamp && allowed(a, b) {
+                    self.seen[b as usize] = self.stamp;
                     self.propose(a, b);
                 }
                 entry = next;

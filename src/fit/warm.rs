@@ -7,10 +7,9 @@
 
 use super::agglomerate::Patch;
 use super::contact_distance::ContactDistance;
-use super::live::{Block, FitReport, MIN_BLOCK_PIXELS};
+use super::live::{Blocks, FitReport, MIN_BLOCK_PIXELS};
 use super::moments::{Fit, Moments, bits_per_point};
 use super::motion::{self, Motion, Observation};
-use crate::contact_map::assign::Palette;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::Rays;
 use glam::DVec3;
@@ -45,8 +44,7 @@ impl Workspace {
 
 pub(super) fn start(
     rays: &Rays,
-    blocks: &mut [Block],
-    before: &[Palette],
+    blocks: &mut Blocks,
     slots: &mut [Option<Patch>],
     distance: &ContactDistance,
     work: &mut Workspace,
@@ -55,13 +53,13 @@ pub(super) fn start(
     if slots.is_empty() {
         return Motion::default();
     }
-    let motion = follow(blocks, before, slots, distance, work);
-    choose(rays, blocks, before, slots, LOOSE);
+    let motion = follow(rays, blocks, slots, distance, work);
+    choose(rays, blocks, slots, LOOSE);
     refit(blocks, slots, work, report);
-    choose(rays, blocks, before, slots, TIGHT);
-    for block in blocks.iter() {
-        if block.sphere != NO_SPHERE {
-            report.warm_pixels += block.valid.count_ones();
+    choose(rays, blocks, slots, TIGHT);
+    for (spheres, valid) in blocks.spheres.iter().zip(&blocks.valid) {
+        if spheres[0] != NO_SPHERE {
+            report.warm_pixels += valid.count_ones();
         }
     }
     motion
@@ -70,19 +68,21 @@ pub(super) fn start(
 /// Estimates the camera's motion and carries the spheres along where that explains the blocks
 /// better by more bits than the motion costs.
 fn follow(
-    blocks: &[Block],
-    before: &[Palette],
+    rays: &Rays,
+    blocks: &Blocks,
     slots: &mut [Option<Patch>],
     distance: &ContactDistance,
     work: &mut Workspace,
 ) -> Motion {
+    // every other block, as on a chessboard: a motion has six numbers
+    let chosen = |k: &usize| (k % rays.block_columns + k / rays.block_columns) % 2 == 0;
     work.observations.clear();
-    for (block, palette) in blocks.iter().zip(before) {
+    for k in (0..blocks.len()).filter(chosen) {
         if let (Some(Some(patch)), true) = (
-            slots.get(usize::from(palette[0])),
-            block.valid.count_ones() >= 48,
+            slots.get(usize::from(blocks.before[k][0])),
+            blocks.valid[k].count_ones() >= 48,
         ) {
-            let (w, u, v) = block.moments.mean();
+            let (w, u, v) = blocks.moments[k].mean();
             let z = 1.0 / w;
             work.observations.push(Observation {
                 point: DVec3::new(u * z, v * z, z),
@@ -96,16 +96,25 @@ fn follow(
     };
     let mover = motion.mover();
     let price = |moved: bool| -> f64 {
-        let cost = |(block, palette): (&Block, &Palette)| {
-            let sphere = slots.get(usize::from(palette[0]))?.as_ref()?.fit.sphere;
+        let cost = |k: usize| {
+            let sphere = slots
+                .get(usize::from(blocks.before[k][0]))?
+                .as_ref()?
+                .fit
+                .sphere;
             let sphere = if moved {
                 mover.sphere(&sphere)?
             } else {
                 sphere
             };
-            Some(block.moments.count * bits_per_point(block.moments.misfit(&sphere)).min(8.0))
+            let sums = &blocks.moments[k];
+            Some(sums.count * bits_per_point(sums.misfit(&sphere)).min(8.0))
         };
-        blocks.iter().zip(before).filter_map(cost).sum()
+        // half of the blocks are asked
+        2.0 * (0..blocks.len())
+            .filter(chosen)
+            .filter_map(cost)
+            .sum::<f64>()
     };
     if price(true) + MOTION_BITS >= price(false) {
         return Motion::default();
@@ -122,26 +131,21 @@ fn follow(
 }
 
 /// Gives each block the best of the last frame's spheres around it, where it is good enough.
-fn choose(
-    rays: &Rays,
-    blocks: &mut [Block],
-    before: &[Palette],
-    slots: &[Option<Patch>],
-    limit: f64,
-) {
+fn choose(rays: &Rays, blocks: &mut Blocks, slots: &[Option<Patch>], limit: f64) {
     let columns = rays.block_columns;
-    for k in 0..blocks.len() {
-        let block = &blocks[k];
-        if block.valid.count_ones() < MIN_BLOCK_PIXELS {
+    let before = &blocks.before;
+    for k in 0..before.len() {
+        if blocks.valid[k].count_ones() < MIN_BLOCK_PIXELS {
             continue;
         }
-        let own = if block.sphere == NO_SPHERE {
+        let own = if blocks.spheres[k][0] == NO_SPHERE {
             before[k][0]
         } else {
-            block.sphere
+            blocks.spheres[k][0]
         };
+        let sums = &blocks.moments[k];
         let misfit = |id: u16| match slots.get(usize::from(id)) {
-            Some(Some(patch)) => block.moments.misfit(&patch.fit.sphere),
+            Some(Some(patch)) => sums.misfit(&patch.fit.sphere),
             _ => f64::INFINITY,
         };
         let mut best = (misfit(own), own);
@@ -167,22 +171,22 @@ fn choose(
                 }
             }
         }
-        blocks[k].sphere = if best.0 <= limit { best.1 } else { NO_SPHERE };
+        blocks.spheres[k][0] = if best.0 <= limit { best.1 } else { NO_SPHERE };
     }
 }
 
 /// Refits every sphere from its blocks, or keeps it.
 fn refit(
-    blocks: &[Block],
+    blocks: &Blocks,
     slots: &mut [Option<Patch>],
     work: &mut Workspace,
     report: &mut FitReport,
 ) {
     work.sums.clear();
     work.sums.resize(slots.len(), Moments::default());
-    for block in blocks {
-        if let Some(sum) = work.sums.get_mut(usize::from(block.sphere)) {
-            sum.add(&block.moments);
+    for (spheres, moments) in blocks.spheres.iter().zip(&blocks.moments) {
+        if let Some(sum) = work.sums.get_mut(usize::from(spheres[0])) {
+            sum.add(moments);
         }
     }
     for (slot, sums) in slots.iter_mut().zip(&work.sums) {
