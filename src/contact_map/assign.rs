@@ -16,6 +16,10 @@ pub const CANDIDATES: usize = 10;
 
 /// Bits a pixel costs that no sphere of its block explains.
 const MISS_BITS: u32 = 9;
+/// A block with at most so many pixels beyond reach is not divided further.
+const SETTLED: u32 = 2;
+/// Where all but so many pixels are within reach of the block's own spheres none around is tried.
+const ENOUGH: u32 = 4;
 /// Bits one more sphere costs in a block: its number and the boundary.
 const SPLIT_BITS: [u32; PALETTE] = [0, 26, 24, 24];
 
@@ -73,8 +77,30 @@ impl Default for BlockContacts {
     }
 }
 
+/// The measured pixels that touch sphere `id`; within reach along the ray is touching, too.
+#[inline(always)] // a closure would lose the caller's vector instructions
+fn touch_of(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    valid: u64,
+    id: u16,
+    spheres: &[Option<Sphere>],
+    contact: &Contact,
+) -> Touch {
+    let Some(Some(sphere)) = spheres.get(usize::from(id)) else {
+        return Touch::default();
+    };
+    let t = contact.pixels(plane, rays, at, sphere);
+    Touch {
+        touching: (t.touching | t.along_ray) & valid,
+        along_ray: t.along_ray & valid,
+    }
+}
+
 /// Divides the measured pixels (`valid`) of the block at `at` among spheres: all to `first` where
-/// that one explains nearly all, else among the candidates that `others` gathers.
+/// that one explains nearly all, else among the candidates that `gather` adds: those known of the
+/// block itself, then, where `true` is passed, those of the blocks around.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // one block's whole view
 pub fn assign(
@@ -83,7 +109,7 @@ pub fn assign(
     at: (usize, usize),
     valid: u64,
     first: u16,
-    others: impl FnOnce() -> Candidates,
+    gather: impl Fn(&mut Candidates, bool),
     spheres: &[Option<Sphere>],
     contact: &Contact,
 ) -> BlockContacts {
@@ -96,19 +122,8 @@ pub fn assign(
         return out;
     }
     let measured = valid.count_ones();
-    let pixels = |id: u16| match spheres.get(usize::from(id)) {
-        Some(Some(sphere)) => {
-            let t = contact.pixels(plane, rays, at, sphere);
-            Touch {
-                touching: (t.touching | t.along_ray) & valid,
-                along_ray: t.along_ray & valid,
-            }
-        }
-        _ => Touch::default(),
-    };
     // one that explains (nearly) all is taken: the rest is not even tried
-    let settles =
-        |t: Touch| (valid & !t.along_ray).count_ones() * MISS_BITS <= 18 && measured > 8;
+    let settles = |t: Touch| (valid & !t.along_ray).count_ones() <= SETTLED && measured > 8;
     let alone = |id: u16, t: Touch| {
         let mut out = BlockContacts {
             missing: valid & !t.touching,
@@ -119,16 +134,31 @@ pub fn assign(
         out.pixels[0] = t.touching;
         out
     };
-    let own = pixels(first);
+    let own = touch_of(plane, rays, at, valid, first, spheres, contact);
     if settles(own) {
         return alone(first, own);
     }
-    let candidates = others();
+    let mut candidates = Candidates::default();
     let mut touch = [Touch::default(); CANDIDATES];
-    for (touch, &id) in touch.iter_mut().zip(candidates.ids()) {
-        *touch = if id == first { own } else { pixels(id) };
-        if settles(*touch) {
-            return alone(id, *touch);
+    let mut beyond = valid;
+    for around in [false, true] {
+        let known = candidates.len;
+        gather(&mut candidates, around);
+        for k in known..candidates.len {
+            let id = candidates.ids[k];
+            touch[k] = if id == first {
+                own
+            } else {
+                touch_of(plane, rays, at, valid, id, spheres, contact)
+            };
+            if settles(touch[k]) {
+                return alone(id, touch[k]);
+            }
+            beyond &= !touch[k].along_ray;
+        }
+        // the spheres that were here before still divide it among them
+        if beyond.count_ones() <= ENOUGH {
+            break;
         }
     }
     // greedy cover: first along the ray, then what merely touches
@@ -211,4 +241,27 @@ pub fn assign(
         }
     }
     out
+}
+
+/// Offers the untouched pixels of the block at `at` to `candidates` (spheres around it that it was
+/// not divided among), as entries of its palette still free. True where one was taken.
+pub fn adopt(
+    contacts: &mut BlockContacts,
+    candidates: &Candidates,
+    pixels: impl Fn(u16) -> u64,
+) -> bool {
+    let mut adopted = false;
+    while let Some(free) = contacts.palette.iter().position(|&id| id == NO_SPHERE) {
+        let gain = |&id: &u16| (pixels(id) & contacts.missing).count_ones();
+        // the first of those with most pixels
+        let best = candidates.ids().iter().rev().max_by_key(|&id| gain(id));
+        let Some(&id) = best.filter(|&id| gain(id) * MISS_BITS > SPLIT_BITS[free]) else {
+            break;
+        };
+        contacts.palette[free] = id;
+        contacts.pixels[free] = pixels(id) & contacts.missing;
+        contacts.missing &= !contacts.pixels[free];
+        adopted = true;
+    }
+    adopted
 }

@@ -95,13 +95,7 @@ impl Contact {
     /// Pixels of the block at `at` whose measurement touches `sphere` on the side the camera sees.
     #[inline(always)]
     #[must_use]
-    pub fn pixels(
-        &self,
-        plane: &[u16],
-        rays: &Rays,
-        at: (usize, usize),
-        sphere: &Sphere,
-    ) -> Touch {
+    pub fn pixels(&self, plane: &[u16], rays: &Rays, at: (usize, usize), sphere: &Sphere) -> Touch {
         let stride = rays.stride();
         let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
         let mut touch = Touch::default();
@@ -110,13 +104,14 @@ impl Contact {
         };
         let (a, m, side) = (sphere.a, sphere.m, if sphere.far { -1.0 } else { 1.0 });
         let slope = (m.length_squared() + 4.0 * a).max(0.0).sqrt();
+        // columns of bits: bit j of lane i is row j, column i
+        let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
         for j in 0..BLOCK {
             let Some(row) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
                 return touch;
             };
             let v = rays.v[y0 + j];
             let (constant, v1) = (m.y * v + m.z, v * v + 1.0);
-            let (mut near, mut along) = ([0u8; BLOCK], [0u8; BLOCK]);
             for i in 0..BLOCK {
                 let z = f32::from(row[i]) * rays.unit;
                 let (q, l) = (u[i] * u[i] + v1, m.x * u[i] + constant);
@@ -126,24 +121,33 @@ impl Contact {
                 let value = aqz * z + lz - 1.0;
                 let (over, along_slope) = (value + a * short * short, side * (aqz + aqz + l));
                 let seen = (z > 0.0) & (side * (2.0 - lz) >= 0.0);
-                near[i] = u8::from(seen & ((value - a * reach * reach).abs() <= slope * reach));
-                along[i] = u8::from(
-                    (z > 0.0)
-                        & (along_slope > 0.0)
-                        & (over * over * q <= short * short * along_slope * along_slope),
-                );
+                let touches = seen & ((value - a * reach * reach).abs() <= slope * reach);
+                let (over, within) = (over * over * q, short * along_slope);
+                let reached = (z > 0.0) & (along_slope > 0.0) & (over <= within * within);
+                near[i] |= u32::from(touches) << j;
+                along[i] |= u32::from(reached) << j;
             }
-            touch.touching |= gather(near) << (8 * j);
-            touch.along_ray |= gather(along) << (8 * j);
         }
+        touch.touching = transposed(near);
+        touch.along_ray = transposed(along);
         touch
     }
 }
 
-/// One bit of each byte.
+/// Columns of bits (the low eight of each lane) as rows: bit `8·row + column`.
 #[inline(always)]
-fn gather(bytes: [u8; BLOCK]) -> u64 {
-    u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
+fn transposed(columns: [u32; BLOCK]) -> u64 {
+    let mut x = u64::from_le_bytes(columns.map(|c| c as u8));
+    // swaps 1×1, then 2×2, then 4×4 squares across the diagonal
+    for (step, mask) in [
+        (7, 0x00AA_00AA_00AA_00AA),
+        (14, 0x0000_CCCC_0000_CCCC),
+        (28, 0x0000_0000_F0F0_F0F0),
+    ] {
+        let t = (x ^ (x >> step)) & mask;
+        x ^= t ^ (t << step);
+    }
+    x
 }
 
 /// Pixels of a block that hold a measurement (bit `8·row + column`).
@@ -151,16 +155,14 @@ fn gather(bytes: [u8; BLOCK]) -> u64 {
 #[must_use]
 pub fn measured(plane: &[u16], rays: &Rays, at: (usize, usize)) -> u64 {
     let stride = rays.stride();
-    let mut bits = 0u64;
+    let mut on = [0u32; BLOCK];
     for j in 0..BLOCK {
         let start = (at.1 * BLOCK + j) * stride + at.0 * BLOCK;
-        let mut on = [0u8; BLOCK];
-        for (o, &raw) in on.iter_mut().zip(&plane[start..start + BLOCK]) {
-            *o = u8::from(raw != 0);
+        for (on, &raw) in on.iter_mut().zip(&plane[start..start + BLOCK]) {
+            *on |= u32::from(raw != 0) << j;
         }
-        bits |= gather(on) << (8 * j);
     }
-    bits
+    transposed(on)
 }
 
 #[cfg(test)]
@@ -190,6 +192,12 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn columns_become_rows(bits in any::<u64>()) {
+            let column = |i: usize| (0..8).fold(0, |c, j| c | ((bits >> (8 * j + i) & 1) as u32) << j);
+            prop_assert_eq!(transposed(std::array::from_fn(column)), bits);
+        }
+
         /// Against the distance to centre and radius in double precision.
         #[test]
         fn contact_is_the_distance_to_the_surface(

@@ -18,7 +18,7 @@ use glam::Vec3;
 /// An atom's own surface may be this far off (mean square, contact distances).
 const ATOM_MISFIT: f64 = 0.3;
 /// Bits a point costs without any sphere: a rougher atom is one where that is dearer.
-const FALLBACK_BITS: f64 = 3.0;
+const FALLBACK_BITS: f64 = 5.0;
 /// Fewest points of an atom.
 const ATOM_POINTS: u32 = 8;
 /// Fewest points for which a new sphere is worth its bits.
@@ -31,6 +31,18 @@ const SQUARE_BITS: f64 = 6.0;
 const SQUARE: usize = 8;
 /// Neighbouring spheres are offered each other in one of so many frames.
 const TURNS: u32 = 8;
+
+/// Blocks around a block.
+const AROUND: [(isize, isize); 8] = [
+    (1, 0),
+    (0, 1),
+    (1, 1),
+    (-1, 1),
+    (-1, 0),
+    (0, -1),
+    (-1, -1),
+    (1, -1),
+];
 
 /// What the cold fit reads.
 pub(super) struct Problem<'a> {
@@ -143,7 +155,7 @@ fn mark(rays: &Rays, blocks: &mut Blocks, work: &Workspace, pending: &mut [bool]
         for ny in y.saturating_sub(1)..(y + 2).min(rows) {
             for nx in x.saturating_sub(1)..(x + 2).min(columns) {
                 let n = ny * columns + nx;
-                pending[n] |= blocks.contacts[n].rough != 0;
+                pending[n] |= n == k || blocks.contacts[n].rough.count_ones() >= ATOM_POINTS;
             }
         }
     }
@@ -300,32 +312,36 @@ fn connect(
             });
         }
     }
-    let atoms = work.atoms.len() as u32;
     let turn = problem.turn.unwrap_or(0);
+    let sphere = |k: usize| blocks.contacts[k].palette[0];
     for k in 0..blocks.len() {
-        let own = nodes(k, blocks, graph, work);
-        if own[0] == NONE {
+        let (x, y) = (k % columns, k / columns);
+        let right = (x + 1 < columns).then_some(k + 1);
+        let below = (y + 1 < rows).then_some(k + columns);
+        if work.of_block[k][0] == NONE {
+            // two spheres that meet: some of them are offered each other now, others later
+            for n in [right, below].into_iter().flatten() {
+                let (a, b) = (sphere(k), sphere(n));
+                if a != b && u32::from(a ^ b).wrapping_add(turn).is_multiple_of(TURNS) {
+                    let ends = [nodes(k, blocks, graph, work), nodes(n, blocks, graph, work)];
+                    if work.of_block[n][0] == NONE && ends[0][0] != NONE && ends[1][0] != NONE {
+                        graph.touch(ends[0][0], ends[1][0]);
+                    }
+                }
+            }
             continue;
         }
-        let (x, y) = (k % columns, k / columns);
-        let ahead = [
-            (x + 1 < columns, k + 1),
-            (y + 1 < rows, k + columns),
-            (x + 1 < columns && y + 1 < rows, k + columns + 1),
-            (x > 0 && y + 1 < rows, k + columns - usize::from(x > 0)),
-        ];
-        for (there, n) in ahead {
-            if !there {
+        let own = nodes(k, blocks, graph, work);
+        for (dx, dy) in AROUND {
+            let (nx, ny) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
+            let n = ny.wrapping_mul(columns).wrapping_add(nx);
+            // of two blocks with atoms the first one sees to it
+            if nx >= columns || ny >= rows || (n < k && work.of_block[n][0] != NONE) {
                 continue;
             }
             for b in nodes(n, blocks, graph, work) {
                 for a in own {
-                    let known = a >= atoms && b >= atoms;
-                    if a != b
-                        && a != NONE
-                        && b != NONE
-                        && (!known || (a ^ b).wrapping_add(turn).is_multiple_of(TURNS))
-                    {
+                    if a != b && a != NONE && b != NONE {
                         graph.touch(a, b);
                     }
                 }

@@ -10,6 +10,7 @@ use super::contact_distance::ContactDistance;
 use super::live::{Blocks, FitReport, MIN_BLOCK_PIXELS};
 use super::moments::{Fit, Moments, bits_per_point};
 use super::motion::{self, Motion, Observation};
+use super::sphere::Sphere;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::Rays;
 use glam::DVec3;
@@ -28,6 +29,7 @@ pub(super) const TIGHT: f64 = 0.3;
 pub(super) struct Workspace {
     sums: Vec<Moments>,
     observations: Vec<Observation>,
+    spheres: Vec<Option<Sphere>>,
     pub(super) used: Vec<u32>,
 }
 
@@ -36,6 +38,7 @@ impl Workspace {
     pub(super) fn with_room(spheres: usize) -> Self {
         Self {
             sums: Vec::with_capacity(spheres),
+            spheres: Vec::with_capacity(spheres),
             used: Vec::with_capacity(spheres),
             ..Self::default()
         }
@@ -74,10 +77,15 @@ fn follow(
     distance: &ContactDistance,
     work: &mut Workspace,
 ) -> Motion {
-    // every other block, as on a chessboard: a motion has six numbers
-    let chosen = |k: &usize| (k % rays.block_columns + k / rays.block_columns) % 2 == 0;
+    // one block of four: a motion has six numbers
+    let (columns, rows) = (rays.block_columns, rays.block_rows);
+    let chosen = || {
+        (0..rows)
+            .step_by(2)
+            .flat_map(|y| (0..columns).step_by(2).map(move |x| y * columns + x))
+    };
     work.observations.clear();
-    for k in (0..blocks.len()).filter(chosen) {
+    for k in chosen() {
         if let (Some(Some(patch)), true) = (
             slots.get(usize::from(blocks.before[k][0])),
             blocks.valid[k].count_ones() >= 48,
@@ -95,39 +103,35 @@ fn follow(
         return Motion::default();
     };
     let mover = motion.mover();
-    let price = |moved: bool| -> f64 {
-        let cost = |k: usize| {
-            let sphere = slots
-                .get(usize::from(blocks.before[k][0]))?
-                .as_ref()?
-                .fit
-                .sphere;
-            let sphere = if moved {
-                mover.sphere(&sphere)?
-            } else {
-                sphere
-            };
-            let sums = &blocks.moments[k];
-            Some(sums.count * bits_per_point(sums.misfit(&sphere)).min(8.0))
-        };
-        // half of the blocks are asked
-        2.0 * (0..blocks.len())
-            .filter(chosen)
-            .filter_map(cost)
-            .sum::<f64>()
-    };
-    if price(true) + MOTION_BITS >= price(false) {
+    let spheres = slots.iter().map(|s| s.map(|p| p.fit.sphere));
+    work.spheres.clear();
+    work.spheres.extend(spheres.clone());
+    let stays = price(blocks, chosen(), &work.spheres);
+    work.spheres.clear();
+    work.spheres
+        .extend(spheres.map(|s| s.and_then(|s| mover.sphere(&s))));
+    // one block of four is asked
+    if 4.0 * (stays - price(blocks, chosen(), &work.spheres)) <= MOTION_BITS {
         return Motion::default();
     }
-    for slot in slots {
-        if let Some(patch) = slot {
-            match mover.sphere(&patch.fit.sphere) {
-                Some(moved) => patch.fit.sphere = moved,
-                None => *slot = None,
-            }
+    for (slot, moved) in slots.iter_mut().zip(&work.spheres) {
+        match (slot.as_mut(), moved) {
+            (Some(patch), Some(moved)) => patch.fit.sphere = *moved,
+            _ => *slot = None,
         }
     }
     motion
+}
+
+/// Bits of some blocks on the spheres that held them.
+fn price(blocks: &Blocks, chosen: impl Iterator<Item = usize>, spheres: &[Option<Sphere>]) -> f64 {
+    chosen
+        .filter_map(|k| {
+            let sphere = spheres.get(usize::from(blocks.before[k][0]))?.as_ref()?;
+            let sums = &blocks.moments[k];
+            Some(sums.count * bits_per_point(sums.misfit(sphere)).min(8.0))
+        })
+        .sum()
 }
 
 /// Gives each block the best of the last frame's spheres around it, where it is good enough.
