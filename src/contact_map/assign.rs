@@ -140,7 +140,7 @@ pub fn assign(
     }
     let mut candidates = Candidates::default();
     let mut touch = [Touch::default(); CANDIDATES];
-    let mut beyond = valid;
+    let (mut beyond, mut apart) = (valid, valid);
     for around in [false, true] {
         let known = candidates.len;
         gather(&mut candidates, around);
@@ -155,9 +155,10 @@ pub fn assign(
                 return alone(id, touch[k]);
             }
             beyond &= !touch[k].along_ray;
+            apart &= !touch[k].touching;
         }
         // the spheres that were here before still divide it among them
-        if beyond.count_ones() <= ENOUGH {
+        if beyond.count_ones() <= ENOUGH || (apart == 0 && beyond.count_ones() <= 2 * ENOUGH) {
             break;
         }
     }

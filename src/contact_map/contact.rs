@@ -93,6 +93,7 @@ impl Contact {
     }
 
     /// Pixels of the block at `at` whose measurement touches `sphere` on the side the camera sees.
+    /// Pixels without a measurement may be among them.
     #[inline(always)]
     #[must_use]
     pub fn pixels(&self, plane: &[u16], rays: &Rays, at: (usize, usize), sphere: &Sphere) -> Touch {
@@ -115,15 +116,16 @@ impl Contact {
             for i in 0..BLOCK {
                 let z = f32::from(row[i]) * rays.unit;
                 let (q, l) = (u[i] * u[i] + v1, m.x * u[i] + constant);
-                let (zz, lz, aqz) = (z * z, l * z, a * q * z);
+                let (zz, lz) = (z * z, l * z);
                 let reach = self.floor.max(self.per_z2 * zz);
                 let short = reach * self.along_ray;
+                let aqz = a * q * z;
                 let value = aqz * z + lz - 1.0;
+                let close = (value - a * reach * reach).abs() <= slope * reach;
+                let touches = close & (side * (2.0 - lz) >= 0.0);
                 let (over, along_slope) = (value + a * short * short, side * (aqz + aqz + l));
-                let seen = (z > 0.0) & (side * (2.0 - lz) >= 0.0);
-                let touches = seen & ((value - a * reach * reach).abs() <= slope * reach);
                 let (over, within) = (over * over * q, short * along_slope);
-                let reached = (z > 0.0) & (along_slope > 0.0) & (over <= within * within);
+                let reached = (along_slope > 0.0) & (over <= within * within);
                 near[i] |= u32::from(touches) << j;
                 along[i] |= u32::from(reached) << j;
             }
@@ -202,7 +204,7 @@ mod tests {
         #[test]
         fn contact_is_the_distance_to_the_surface(
             (x, y) in (-0.4f64..0.4, -0.4f64..0.4), z in 0.5f64..6.0,
-            radius in prop_oneof![0.05f64..0.4, 1f64..9e3], hollow in any::<bool>(),
+            radius in prop_oneof![0.05f64..0.4, 1f64..9e3, Just(9e9)], hollow in any::<bool>(),
             floor_m in 0.002f64..0.02, per_z2 in 0f64..5e-3, share in 0.3f64..1.0, seed in any::<u64>(),
         ) {
             let rays = rays();
@@ -221,7 +223,10 @@ mod tests {
                 let w = sphere.inverse_depth(u, v, u * u + v * v + 1.0);
                 if next() < 0.1 || !(w > 0.0) { 0 } else { ((1.0 / f64::from(w) + (next() - 0.5) * 0.1) * 1e3).clamp(0.0, 65535.0) as u16 }
             }).collect();
-            let found = Contact::new(&distance, share).pixels(&plane, &rays, at, &sphere);
+            let measured = measured(&plane, &rays, at);
+            let mut found = Contact::new(&distance, share).pixels(&plane, &rays, at, &sphere);
+            found.touching &= measured;
+            found.along_ray &= measured;
             for bit in 0..64 {
                 let (px, py) = (at.0 * 8 + bit % 8, at.1 * 8 + bit / 8);
                 let raw = plane[py * 64 + px];

@@ -218,18 +218,23 @@ impl Agglomeration {
         }
         let mut steps = 0u32;
         while let Some(best) = self.heap.pop() {
-            let (a, b) = (best.a as usize, best.b as usize);
-            if self.parent[a] != best.a
-                || self.parent[b] != best.b
-                || self.age[a].wrapping_add(self.age[b]) != best.age
-            {
+            let (a, b) = (self.root(best.a), self.root(best.b));
+            if a == b {
+                continue;
+            }
+            // one of the two has grown since: priced anew now that its turn has come
+            let age = self.age[a as usize].wrapping_add(self.age[b as usize]);
+            if (a.min(b), a.max(b), age) != (best.a, best.b, best.age) {
+                if allowed(a, b) {
+                    self.propose(a, b);
+                }
                 continue;
             }
             steps += 1;
             if steps.is_multiple_of(64) && stop() {
                 break;
             }
-            self.unite(best.a, best.b, &allowed);
+            self.unite(a, b);
         }
     }
 
@@ -249,7 +254,7 @@ impl Agglomeration {
         }
     }
 
-    fn unite(&mut self, a: u32, b: u32, allowed: &impl Fn(u32, u32) -> bool) {
+    fn unite(&mut self, a: u32, b: u32) {
         let Some(union) = self.patches[a as usize].union(&self.patches[b as usize]) else {
             return;
         };
@@ -262,14 +267,6 @@ impl Agglomeration {
             .wrapping_add(self.age[gone as usize])
             .wrapping_add(1);
         self.join(keep, gone);
-        let mut entry = self.neighbours[keep as usize].first;
-        while entry != NONE {
-            let Link { to, next } = self.links[entry as usize];
-            if allowed(keep, to) {
-                self.propose(keep, to);
-            }
-            entry = next;
-        }
     }
 
     /// Gives the neighbours of `gone` to `keep`, one entry for each root.

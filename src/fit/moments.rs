@@ -223,6 +223,99 @@ fn sum_of(a: [f32; BLOCK]) -> f32 {
     (b[0] + b[2]) + (b[1] + b[3])
 }
 
+/// Mean depth of a block's pixels of `keep`, the centre (u, v, s, w) and the sums about it in the
+/// order of [`Moments::sums`]. `FULL` where `keep` is all of them.
+#[inline(always)]
+fn local_sums<const FULL: bool>(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    keep: u64,
+) -> Option<(f64, [f64; 4], [f64; 15])> {
+    const BIT: [u32; BLOCK] = [1, 2, 4, 8, 16, 32, 64, 128];
+    let stride = rays.stride();
+    let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
+    let u = rays.u[x0..].first_chunk::<BLOCK>()?;
+    let v = rays.v[y0..].first_chunk::<BLOCK>()?;
+    let mut z = [[0f32; BLOCK]; BLOCK];
+    let mut total = [0f32; BLOCK];
+    let on = |j: usize| {
+        let bits = (keep >> (8 * j)) as u32;
+        BIT.map(|bit| if FULL || bits & bit != 0 { 1f32 } else { 0.0 })
+    };
+    for j in 0..BLOCK {
+        let row = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>()?;
+        let m = on(j);
+        for i in 0..BLOCK {
+            z[j][i] = f32::from(row[i]) * rays.unit;
+            total[i] += z[j][i] * m[i];
+        }
+    }
+    let count = keep.count_ones() as f32;
+    if count == 0.0 {
+        return None;
+    }
+    let z0 = sum_of(total) / count;
+    let (w0, u0, v0) = (
+        1.0 / z0,
+        u[0] + 3.5 * (u[1] - u[0]),
+        v[0] + 3.5 * (v[1] - v[0]),
+    );
+    let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
+    // columns: sums over the rows of 1, v, vv, w, wv, ww, s, sv, ss, sw, all about the centre
+    let mut c = [[0f32; BLOCK]; 10];
+    let (mut du, mut uu1) = ([0f32; BLOCK], [0f32; BLOCK]);
+    for i in 0..BLOCK {
+        du[i] = u[i] - u0;
+        uu1[i] = u[i] * u[i] + 1.0;
+    }
+    for j in 0..BLOCK {
+        let (dv, vv, m) = (v[j] - v0, v[j] * v[j], on(j));
+        for i in 0..BLOCK {
+            let w = m[i] * (1.0 / z[j][i].max(1e-6) - w0);
+            let s = m[i] * ((uu1[i] + vv) * z[j][i] - s0);
+            if FULL {
+                c[0][i] += 1.0;
+                c[1][i] += dv;
+                c[2][i] += dv * dv;
+            } else {
+                let mv = m[i] * dv;
+                c[0][i] += m[i];
+                c[1][i] += mv;
+                c[2][i] += mv * dv;
+            }
+            c[3][i] += w;
+            c[4][i] += w * dv;
+            c[5][i] += w * w;
+            c[6][i] += s;
+            c[7][i] += s * dv;
+            c[8][i] += s * s;
+            c[9][i] += s * w;
+        }
+    }
+    let sum = |k: usize| f64::from(sum_of(c[k]));
+    let dot = |k: usize| f64::from(sum_of(std::array::from_fn(|i| c[k][i] * du[i])));
+    let uu = f64::from(sum_of(std::array::from_fn(|i| c[0][i] * du[i] * du[i])));
+    let sums = [
+        f64::from(count),
+        dot(0),
+        sum(1),
+        sum(6),
+        sum(3),
+        uu,
+        dot(1),
+        dot(6),
+        dot(3),
+        sum(2),
+        sum(7),
+        sum(4),
+        sum(8),
+        sum(9),
+        sum(5),
+    ];
+    Some((f64::from(z0), [u0, v0, s0, w0].map(f64::from), sums))
+}
+
 /// Moments of the block at (`bx`, `by`) of a padded plane of depth integers (0 = invalid), with
 /// the pixels of `keep` only, all of them measured (bit `8·row + column`). `weight` gives ω from the block's mean depth
 /// in metres.
@@ -237,73 +330,32 @@ pub fn of_block(
     keep: u64,
     weight: impl Fn(f64) -> f64,
 ) -> Moments {
-    let stride = rays.stride();
-    let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
-    let mut z = [[0f32; BLOCK]; BLOCK];
-    let mut on = [[0f32; BLOCK]; BLOCK];
-    let (mut total, mut number) = ([0f32; BLOCK], [0f32; BLOCK]);
-    const BIT: [u32; BLOCK] = [1, 2, 4, 8, 16, 32, 64, 128];
-    for j in 0..BLOCK {
-        let Some(row) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
-            return Moments::default();
-        };
-        let bits = (keep >> (8 * j)) as u32;
-        for i in 0..BLOCK {
-            let m = if bits & BIT[i] == 0 { 0.0 } else { 1.0 };
-            z[j][i] = f32::from(row[i]) * rays.unit;
-            on[j][i] = m;
-            total[i] += z[j][i] * m;
-            number[i] += m;
-        }
-    }
-    let count = sum_of(number);
-    if count == 0.0 {
+    // a block without holes, which most are, needs no mask
+    let local = if keep == u64::MAX {
+        local_sums::<true>(plane, rays, at, keep)
+    } else {
+        local_sums::<false>(plane, rays, at, keep)
+    };
+    let Some((z0, [u0, v0, s0, w0], local)) = local else {
         return Moments::default();
-    }
-    let z0 = sum_of(total) / count;
-    let (w0, u0, v0) = (
-        1.0 / z0,
-        rays.u[x0] + 3.5 * (rays.u[x0 + 1] - rays.u[x0]),
-        rays.v[y0] + 3.5 * (rays.v[y0 + 1] - rays.v[y0]),
-    );
-    let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
-    // columns: sums over the rows of 1, v, vv, w, wv, ww, s, sv, ss, sw, all about the centre
-    let mut c = [[0f32; BLOCK]; 10];
-    let mut du = [0f32; BLOCK];
-    let mut uu1 = [0f32; BLOCK];
-    for i in 0..BLOCK {
-        du[i] = rays.u[x0 + i] - u0;
-        uu1[i] = rays.u[x0 + i] * rays.u[x0 + i] + 1.0;
-    }
-    for j in 0..BLOCK {
-        let v = rays.v[y0 + j];
-        let dv = v - v0;
-        for i in 0..BLOCK {
-            let m = on[j][i];
-            let depth = z[j][i];
-            let w = m * (1.0 / depth.max(1e-6) - w0);
-            let s = m * ((uu1[i] + v * v) * depth - s0);
-            let mv = m * dv;
-            c[0][i] += m;
-            c[1][i] += mv;
-            c[2][i] += mv * dv;
-            c[3][i] += w;
-            c[4][i] += w * dv;
-            c[5][i] += w * w;
-            c[6][i] += s;
-            c[7][i] += s * dv;
-            c[8][i] += s * s;
-            c[9][i] += s * w;
-        }
-    }
-    let sum = |k: usize| f64::from(sum_of(c[k]));
-    let dot = |k: usize| f64::from(sum_of(std::array::from_fn(|i| c[k][i] * du[i])));
-    let dot2 = f64::from(sum_of(std::array::from_fn(|i| c[0][i] * du[i] * du[i])));
-    // local sums, then the shift to the camera's axes
-    let (n, lu, lv, ls, lw) = (f64::from(count), dot(0), sum(1), sum(6), sum(3));
-    let (luu, luv, lus, luw) = (dot2, dot(1), dot(6), dot(3));
-    let (lvv, lvs, lvw, lss, lsw, lww) = (sum(2), sum(7), sum(4), sum(8), sum(9), sum(5));
-    let (u0, v0, s0, w0) = (f64::from(u0), f64::from(v0), f64::from(s0), f64::from(w0));
+    };
+    let [
+        n,
+        lu,
+        lv,
+        ls,
+        lw,
+        luu,
+        luv,
+        lus,
+        luw,
+        lvv,
+        lvs,
+        lvw,
+        lss,
+        lsw,
+        lww,
+    ] = local;
     let shift = |xy: f64, x: f64, y: f64, x0: f64, y0: f64| xy + x0 * y + y0 * x + n * x0 * y0;
     let sums = [
         n,
@@ -322,7 +374,7 @@ pub fn of_block(
         shift(lsw, ls, lw, s0, w0),
         shift(lww, lw, lw, w0, w0),
     ];
-    let omega = weight(f64::from(z0));
+    let omega = weight(z0);
     Moments {
         count: n,
         sums: sums.map(|s| s * omega),
