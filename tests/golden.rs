@@ -1,4 +1,4 @@
-//! Payloads of format version 1 that must decode to the same bits for ever.
+//! Payloads of format version 2 that must decode to the same bits for ever.
 //!
 //! `golden/*.bin` are chains of payloads (each a u32 little-endian length and its bytes),
 //! `golden/expected.txt` the checksums of what they decode to. They were written once by the ignored

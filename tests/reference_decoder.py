@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""A second decoder of saint-live's sensor payload, version 1, written from src/codec/FORMAT.md.
+"""A second decoder of saint-live's sensor payload, version 2, written from src/codec/FORMAT.md.
 
     reference_decoder.py CHAIN [PLANES]
 
 CHAIN holds payloads one after the other, each after its length (u32, little endian). PLANES
 receives, frame by frame, depth (float32) and labels (uint16), row-major, little endian. One line
 per frame goes to standard output: frame, CRC-32 of depth, CRC-32 of labels. Slow and plain on
-purpose. Section numbers are those of FORMAT.md. Needs Python 3.8 and NumPy.
+purpose. Section numbers are those of FORMAT.md; entropy coding is in reference_coder.py, arithmetic
+in reference_geometry.py. Needs Python 3.8 and NumPy.
 """
 
 import struct
@@ -15,124 +16,21 @@ import zlib
 
 import numpy as np
 
-F32, F64 = np.float32, np.float64
+from reference_coder import Contexts, Integer, Range, Refused, Weights, bits, mixed_bit, unfold
+from reference_geometry import F32, F64, Bins, Chart, Entry, clamp, five, move, nine
+
 NO_SPHERE, INVALID = 65534, 65535
 KEY, LOSSLESS, DEGRADED, MOVED = 1, 2, 4, 8
 EMPTY, FULL, MIXED = 0, 1, 2
-MOST = 1 << 21  # §1.6, clamp of a sphere's numbers
-
-
-class Refused(Exception):
-    """Bytes that are no payload."""
-
-
-# --- §1.4 entropy coding -------------------------------------------------------------------------
-
-
-class Bit:
-    __slots__ = ("fast", "slow", "seen")
-
-    def __init__(self):
-        self.fast = self.slow = 32768
-        self.seen = 0
-
-    def probability(self):
-        return min(max((self.fast + self.slow) >> 1, 48), 65488)
-
-    def learn(self, bit):
-        f, s = min(5, self.seen + 1), min(7, self.seen + 1)
-        self.seen = min(7, self.seen + 1)
-        if bit:
-            self.fast += (65535 - self.fast) >> f
-            self.slow += (65535 - self.slow) >> s
-        else:
-            self.fast -= self.fast >> f
-            self.slow -= self.slow >> s
-
-
-def bits(count):
-    return [Bit() for _ in range(count)]
-
-
-class Range:
-    """The range decoder of one section."""
-
-    def __init__(self, data):
-        self.data, self.at = data, 0
-        self.code, self.range = 0, 0xFFFFFFFF
-        for _ in range(4):
-            self.code = self.code << 8 | self.next()
-
-    def next(self):
-        byte = self.data[self.at] if self.at < len(self.data) else 0
-        self.at += 1
-        return byte
-
-    def renormalise(self):
-        while self.range < 1 << 24:
-            self.range = self.range << 8 & 0xFFFFFFFF
-            self.code = (self.code << 8 | self.next()) & 0xFFFFFFFF
-
-    def bit(self, model):
-        bound = (self.range >> 16) * model.probability()
-        bit = self.code < bound
-        if bit:
-            self.range = bound
-        else:
-            self.code -= bound
-            self.range -= bound
-        model.learn(bit)
-        self.renormalise()
-        return bit
-
-    def plain(self, count):
-        value = 0
-        for _ in range(count):
-            self.range >>= 1
-            one = self.code >= self.range
-            if one:
-                self.code -= self.range
-            value = value << 1 | one
-            self.renormalise()
-        return value
-
-    def end(self):
-        if self.at > len(self.data) + 8:
-            raise Refused("a section ends early")
-
-
-class Integer:
-    def __init__(self):
-        self.length = bits(25)
-        self.leading = [bits(4) for _ in range(25)]
-
-    def read(self, coder):
-        n = 0
-        while n < 23 and coder.bit(self.length[n]):
-            n += 1
-        v, node = 1, 0
-        for k in range(n):
-            if k < 2:
-                bit = coder.bit(self.leading[n][node])
-                node = 1 + bit
-            else:
-                bit = coder.plain(1)
-            v = 2 * v + bit
-        return v - 1
-
-    def signed(self, coder):
-        return unfold(self.read(coder))
-
-
-def unfold(n):
-    return (n >> 1) ^ -(n & 1)
+SMOOTH, SPARSE, DENSE = 0, 1, 2
 
 
 class Models:
     """Start values of all models."""
 
     def __init__(self):
-        self.full, self.empty, self.mask_pixel = bits(36), bits(36), bits(1024)
+        self.full, self.empty = bits(36), bits(36)
+        self.mask, self.mask_weights = [Contexts() for _ in range(3)], Weights()
         self.more = [bits(16) for _ in range(3)]
         self.candidate = [[bits(8) for _ in range(2)] for _ in range(8)]
         self.none, self.new = bits(2), bits(2)
@@ -141,8 +39,11 @@ class Models:
         self.step, self.step_change = Integer(), Integer()
         self.fresh = [Integer() for _ in range(4)]
         self.change = [Integer() for _ in range(4)]
-        self.block, self.zero, self.sign = bits(9), bits(64), bits(9)
-        self.size = [Integer() for _ in range(6)]
+        (self.listed,) = bits(1)
+        self.active, self.dense, self.miss = bits(9), bits(27), bits(81)
+        self.count, self.gap = Integer(), Integer()
+        self.bin_far = [Integer() for _ in range(16)]
+        self.bins, self.bin_weights = [Contexts() for _ in range(3)], Weights()
 
 
 # --- §1.2 layout, §1.3 refusals ------------------------------------------------------------------
@@ -201,18 +102,18 @@ class Stream:
 
 
 class Plane:
-    """A padded image that can be read two pixels beyond its edge."""
+    """A padded image that can be read three pixels beyond its edge."""
 
     def __init__(self, stream, value):
-        shape = (8 * stream.rows + 4, 8 * stream.columns + 4)
+        shape = (8 * stream.rows + 6, 8 * stream.columns + 6)
         self.cells = np.full(shape, value, dtype=np.int64)
-        self.inner = self.cells[2:-2, 2:-2]
+        self.inner = self.cells[3:-3, 3:-3]
 
     def at(self, x, y):
-        return int(self.cells[y + 2, x + 2])
+        return int(self.cells[y + 3, x + 3])
 
     def set(self, x, y, value):
-        self.cells[y + 2, x + 2] = value
+        self.cells[y + 3, x + 3] = value
 
 
 class Picture:
@@ -223,13 +124,8 @@ class Picture:
         self.labels = Plane(stream, NO_SPHERE)
         self.fills = [EMPTY] * stream.blocks
         self.palettes = [[] for _ in range(stream.blocks)]
-        self.active = [False] * stream.blocks
+        self.kinds = [SMOOTH] * stream.blocks
         self.entries = []
-
-
-class Entry:
-    def __init__(self, a, m, far, exponent):
-        self.a, self.m, self.far, self.exponent = F32(a), [F32(c) for c in m], far, exponent
 
 
 class Decoder:
@@ -245,7 +141,7 @@ class Decoder:
         if struct.unpack("<I", payload[-4:])[0] != zlib.crc32(body):
             raise Refused("checksum")
         fields = Fields(body)
-        if fields.take(2) != b"SL" or fields.take(1) != b"\x01":
+        if fields.take(2) != b"SL" or fields.take(1) != b"\x02":
             raise Refused("magic or version")
         (flags,) = fields.take(1)
         if flags & ~(KEY | LOSSLESS | DEGRADED | MOVED):
@@ -334,16 +230,23 @@ class Frame:
             else:
                 now.fills[k] = EMPTY if coder.bit(self.models.empty[c]) else MIXED
         near = [(-1, 0), (-2, 0), (-1, -1), (0, -1), (1, -1), (0, -2)]
+        wide = [(-3, 0), (-2, -1), (2, -1), (-1, -2), (1, -2)]
+        around = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
         for x, y, _ in self.raster([fill == MIXED for fill in now.fills]):
-            c = 0
-            for dx, dy in near:
-                c = 2 * c + now.mask.at(x + dx, y + dy)
-            if past:
-                m = past.mask
-                c = 16 * c + 4 * m.at(x, y) + 2 * m.at(x + 1, y) + m.at(x, y + 1)
-            else:
-                c = 16 * c + 8
-            now.mask.set(x, y, coder.bit(self.models.mask_pixel[c]))
+
+            def read(mask, places):
+                c = 0
+                for dx, dy in places:
+                    c = 2 * c + mask.at(x + dx, y + dy)
+                return c
+
+            n6 = read(now.mask, near)
+            few = read(past.mask, [(0, 0), (1, 0), (0, 1)]) if past else 8
+            nine = read(past.mask, around) if past else 512
+            cells = 16 * n6 + few, 32 * n6 + read(now.mask, wide)
+            cells += (4 * nine + read(now.mask, [(-1, 0), (0, -1)]),)
+            estimates = [m.at(c) for m, c in zip(self.models.mask, cells)]
+            now.mask.set(x, y, mixed_bit(coder, estimates, self.models.mask_weights.at(n6)))
 
     # labels
 
@@ -502,54 +405,119 @@ class Frame:
     # residual
 
     def read_residual(self, coder):
-        s, now, past, models = self.stream, self.now, self.past, self.models
-        for k in range(s.blocks):
+        self.read_integers(coder)
+        self.read_kinds(coder)
+        s, now = self.stream, self.now
+        bins = Bins(s, self.now.integers)
+        self.rebuilt = np.zeros(s.q.shape, dtype=bool)
+        self.integers = Plane(s, 0)
+        self.integers.inner[:] = np.where(now.mask.inner != 0, self.whole, 0)
+        self.traces = {}
+        last = 0
+        for x, y, block in self.raster([kind != SMOOTH for kind in now.kinds]):
+            if not now.mask.at(x, y):
+                continue
+            sphere = now.labels.at(x, y) != NO_SPHERE
+            dense = now.kinds[block] == DENSE
+            if sphere and not dense and not self.misses(coder, x, y):
+                continue
+            last = self.read_bin(coder, bins.at(x, y), x, y, last, sphere, dense)
+            self.integers.set(x, y, last)
+            self.rebuilt[y, x] = True
+        self.whole = self.integers.inner
+
+    def read_integers(self, coder):
+        models, now = self.models, self.now
+        if self.past is None:
+            now.integers = set() if coder.bit(models.listed) else None
+        else:
+            now.integers = self.past.integers
+        if now.integers is None:
+            return
+        now.integers = set(now.integers)
+        last = 0
+        for _ in range(models.count.read(coder)):
+            last += models.gap.read(coder) + 1
+            if last > 65535:
+                raise Refused("an integer beyond 65535")
+            now.integers.add(last)
+
+    def read_kinds(self, coder):
+        now, past, models = self.now, self.past, self.models
+        for k in range(self.stream.blocks):
             if now.fills[k] == EMPTY:
                 continue
             west, north = self.neighbour(k, -1, 0), self.neighbour(k, 0, -1)
-            c = (west is not None and now.active[west]) + (north is not None and now.active[north])
-            c = 3 * c + (past.active[k] if past else 2)
-            now.active[k] = bool(coder.bit(models.block[c]))
-        walked = [a or NO_SPHERE in p for a, p in zip(now.active, now.palettes)]
-        ks = Plane(s, 0)
-        step = F32(2) * F32(0.999) * s.reach_floor / np.sqrt(s.q)
-        step = np.maximum(1, np.minimum(step.astype(F64), 2**31 - 1).astype(np.int64))
-        if s.lossless:
-            step[:] = 1
-        self.rebuilt = np.zeros(s.q.shape, dtype=bool)
-        last = 0
-        for x, y, block in self.raster(walked):
-            if not now.mask.at(x, y):
-                continue
-            k = self.read_k(coder, ks, x, y) if now.active[block] else 0
-            ks.set(x, y, k)
-            no_sphere = now.labels.at(x, y) == NO_SPHERE
-            if k == 0 and not no_sphere:
-                continue
-            base = int(self.whole[y, x])
-            if no_sphere:
-                base = last
-                for dx, dy in [(-1, 0), (0, -1), (1, -1)]:
-                    if now.mask.at(x + dx, y + dy):
-                        base = int(self.whole[y + dy, x + dx])
-                        break
-            back = min(max(base + k * int(step[y, x]), 1), 65535)
-            self.whole[y, x] = back
-            self.rebuilt[y, x] = True
-            if no_sphere:
-                last = back
+            west = now.kinds[west] if west is not None else SMOOTH
+            north = now.kinds[north] if north is not None else SMOOTH
+            if NO_SPHERE not in now.palettes[k]:
+                c = 3 * ((west != SMOOTH) + (north != SMOOTH))
+                if not coder.bit(models.active[c + (past.kinds[k] != SMOOTH if past else 2)]):
+                    continue
+            c = (west * 3 + north) * 3 + (past.kinds[k] if past else 0)
+            now.kinds[k] = DENSE if coder.bit(models.dense[c]) else SPARSE
 
-    def read_k(self, coder, ks, x, y):
+    def trace(self, x, y):
+        return self.traces.get((x, y), (0, 0, False))
+
+    def misses(self, coder, x, y):
+        c = 0
+        for dx, dy in [(-1, 0), (0, -1), (1, -1), (-1, -1)]:
+            off, _, coded = self.trace(x + dx, y + dy)
+            c = 3 * c + (0 if not coded else 1 if abs(off) <= 1 else 2)
+        return coder.bit(self.models.miss[c])
+
+    def read_bin(self, coder, table, x, y, last, sphere, dense):
+        """Steps 2 to 7: the rebuilt integer."""
         models = self.models
-        w, n = ks.at(x - 1, y), ks.at(x, y - 1)
-        nw, ne = ks.at(x - 1, y - 1), ks.at(x + 1, y - 1)
-        around = 2 * (abs(w) + abs(n)) + abs(nw) + abs(ne)
-        level = min(around.bit_length(), 5)
-        if coder.bit(models.zero[8 * level + 4 * (w != 0) + 2 * (n != 0) + (ne != 0)]):
-            return 0
-        negative = coder.bit(models.sign[3 * (sign(w) + 1) + sign(n) + 1])
-        size = min(models.size[level].read(coder), (1 << 17) - 1) + 1
-        return -size if negative else size
+        r = self.integers.at
+        w = r(x - 1, y) or r(x, y - 1) or last
+        n = r(x, y - 1) or w
+        places = w, n, r(x - 1, y - 1) or n, r(x + 1, y - 1) or n, r(x - 2, y) or w, r(x, y - 2) or n
+        w, n, nw, ne, ww, nn = map(table.bin, places)
+        low, high = min(w, n), max(w, n)
+        median = low if nw >= high else high if nw <= low else w + n - nw
+        around = [self.trace(x + dx, y + dy) for dx, dy in [(-1, 0), (0, -1), (-1, -1), (1, -1)]]
+        d = self.depth[y, x]
+        sphere = sphere and 0 < d < 65536
+        part, shifted, guess = 0, median, median
+        own = None
+        if sphere:
+            own = table.bin(int(self.whole[y, x]))
+            part = table.part(own, d)
+            off = [t[0] for t in around]
+            shifted = own + ((3 * (off[0] + off[1]) + off[2] + off[3] + 4) >> 3)
+            guess = (median + shifted + (median > shifted)) >> 1
+        error = [t[1] for t in around]
+        e = 2 * (error[0] + error[1]) + error[2] + error[3]
+        activity = sum(e > limit for limit in (0, 1, 2, 4, 7, 12, 20))
+        anchor = guess if own is None else own
+        cells = (
+            (nine(w - guess), nine(ww - w), nine(nw - n), five(n - guess)),
+            (nine(n - guess), nine(nn - n), nine(ne - n), five(w - guess)),
+            (part, nine(anchor - guess), nine(shifted - guess), activity, dense),
+        )
+        which = 0 if own is None else 2 if dense else 1
+
+        def read(node):
+            estimates = [c.at(cell, node) for c, cell in zip(models.bins, cells)]
+            return mixed_bit(coder, estimates, models.bin_weights.at(activity, which, node))
+
+        found = guess
+        if not read(0):
+            side = read(1)
+            m = 1
+            while m < 4 and read(2 * m + side):
+                m += 1
+            if m == 4:
+                m += min(models.bin_far[2 * activity + side].read(coder), 1 << 17)
+            found = guess - m if side else guess + m
+        found = min(max(found, 0), len(table.centres) - 1)
+        off = 0 if own is None else min(max(found - own, -8), 8)
+        self.traces[x, y] = off, min(abs(found - guess), 20), True
+        if own is None:
+            self.depth[y, x] = 0
+        return table.centres[found]
 
     # output
 
@@ -557,106 +525,23 @@ class Frame:
         s, d = self.stream, self.depth
         on = self.now.mask.inner != 0
         labels = self.now.labels.inner
+        whole = np.maximum(self.whole, 1)
+        d = np.where(labels == NO_SPHERE, F32(0), d)
+        z, size = whole.astype(F32), np.abs(d)
+        e = z - size
+        reach = np.maximum(s.reach_floor, s.reach_growth * z * z) - F32(4e-7) * z
+        own = (e * e * s.q <= reach * reach) & (reach > 0)
         if s.lossless:
-            depth = (self.whole.astype(F64) * s.unit).astype(F32)
-            z = self.whole.astype(F32)
-            e = z - d
-            reach = np.maximum(s.reach_floor, s.reach_growth * z * z) - F32(4e-7) * z
-            own = (e * e * s.q <= reach * reach) & (reach > 0)
+            depth = (whole.astype(F64) * s.unit).astype(F32)
         else:
-            own = ~self.rebuilt & (d > 0) & (d < 65536)
-            whole = np.maximum(self.whole, 1).astype(F32) * s.single
-            depth = np.where(own, d * s.single, whole)
+            stands = ~self.rebuilt & (d > 0) & (d < 65536)
+            depth = np.where(stands, d * s.single, z * s.single)
+            own |= stands
         depth = np.where(on, depth, F32(0))
         labels = np.where(on, np.where(own, labels, NO_SPHERE), INVALID)
         assert depth.dtype == F32
         cut = np.s_[: s.height, : s.width]
         return depth[cut].astype("<f4"), labels[cut].astype("<u2")
-
-
-def sign(n):
-    return (n > 0) - (n < 0)
-
-
-def clamp(n):
-    return min(max(n, -MOST), MOST)
-
-
-class Chart:
-    """Where and in which steps a sphere is stated. All numbers are float64."""
-
-    def __init__(self, stream, support, step):
-        x0, y0, x1, y1 = support
-        u, v = stream.u.astype(F64), stream.v.astype(F64)
-        du, dv = u[1] - u[0], v[1] - v[0]
-        x, y = F64(4 * (x0 + x1 + 1) - 0.5), F64(4 * (y0 + y1 + 1) - 0.5)
-        self.u, self.v = u[0] + x * du, v[0] + y * dv
-        self.q = self.u * self.u + self.v * self.v + 1.0
-        self.hu, self.hv = 4.0 * (x1 - x0 + 1) * du, 4.0 * (y1 - y0 + 1) * dv
-        self.bulge = 0.5 * (self.hu * self.hu + self.hv * self.hv)
-        self.step = step
-
-    def scale(self, n):
-        w = max(n[0] * self.step, self.step * 0.5)
-        p, r = n[1] * self.step / w, n[2] * self.step / w
-        return w, self.bulge + 0.5 * (p * p + r * r)
-
-    def round(self, x):
-        n = np.floor(x / self.step + 0.5)
-        return 0 if np.isnan(n) else int(min(max(n, -MOST), MOST))
-
-    def quantise(self, entry):
-        a, (mx, my, mz) = F64(entry.a), map(F64, entry.m)
-        l = mx * self.u + my * self.v + mz
-        square = l * l + 4.0 * a * self.q
-        root = np.sqrt(square if square > 0 else F64(0))
-        w = 0.5 * (l - root if entry.far else l + root)
-        slope = 1.0 + a * self.q / (w * w)
-        if abs(slope) < 1e-3:
-            slope = F64(1e-3)
-        wu = (2.0 * a * self.u / w + mx) / slope
-        wv = (2.0 * a * self.v / w + my) / slope
-        n = [self.round(w), self.round(wu * self.hu), self.round(wv * self.hv)]
-        w, bulge = self.scale(n)
-        return n + [self.round(a / slope * bulge / w)]
-
-    def restore(self, n):
-        w, bulge = self.scale(n)
-        bend = n[3] * self.step * w / bulge
-        turn = 1.0 - bend * self.q / (w * w)
-        a = bend / (F64(1e-3) if abs(turn) < 1e-3 else turn)
-        wu, wv = n[1] * self.step / self.hu, n[2] * self.step / self.hv
-        slope = 1.0 + a * self.q / (w * w)
-        mx = wu * slope - 2.0 * a * self.u / w
-        my = wv * slope - 2.0 * a * self.v / w
-        mz = w - a * self.q / w - mx * self.u - my * self.v
-        return a, [mx, my, mz]
-
-
-# --- §1.7 motion ---------------------------------------------------------------------------------
-
-
-def move(entry, motion):
-    if entry is None:
-        return None
-    x, y, z = (F64(n) / 65536.0 for n in motion[:3])
-    t = [F64(n) / 16384.0 for n in motion[3:]]
-    n = 1.0 + x * x + y * y + z * z
-    r = [
-        [1.0 + x * x - y * y - z * z, 2.0 * (x * y - z), 2.0 * (x * z + y)],
-        [2.0 * (x * y + z), 1.0 - x * x + y * y - z * z, 2.0 * (y * z - x)],
-        [2.0 * (x * z - y), 2.0 * (y * z + x), 1.0 - x * x - y * y + z * z],
-    ]
-    r = [[value / n for value in row] for row in r]
-    a, m = F64(entry.a), [F64(c) for c in entry.m]
-    turned = [row[0] * m[0] + row[1] * m[1] + row[2] * m[2] for row in r]
-    tt = t[0] * t[0] + t[1] * t[1] + t[2] * t[2]
-    d = 1.0 - a * tt + (turned[0] * t[0] + turned[1] * t[1] + turned[2] * t[2])
-    if abs(d) < 1e-6:
-        return None
-    moved = Entry(a / d, [(turned[k] - 2.0 * a * t[k]) / d for k in range(3)], entry.far, 0)
-    moved.exponent = entry.exponent
-    return moved if np.isfinite([moved.a, *moved.m]).all() else None
 
 
 def main(arguments):

@@ -2,8 +2,9 @@
 
 use super::header::{Header, Stream};
 use super::range_coder::Decoder as RangeDecoder;
+use super::residual::Kind;
 use super::sphere_table::{self, Support};
-use super::state::{BEYOND, MAX_SPHERES, State, fallback};
+use super::state::{BEYOND, MAX_SPHERES, State};
 use super::{CodecError, label_map, mask, residual};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
@@ -223,8 +224,7 @@ fn read_sections(
     overrun(&coder)
 }
 
-/// Residuals onto the predictions. Pixels rebuilt from a residual lose `predicted` (set to 0): their
-/// depth is the integer.
+/// Measurements that come back from bins.
 fn rebuild(
     state: &mut State,
     rays: &Rays,
@@ -239,62 +239,37 @@ fn rebuild(
         before,
         predicted,
         rebuilt,
-        k: plane,
+        traces,
+        bins,
         ..
     } = state;
     let mut coder = RangeDecoder::new(section);
-    residual::code_blocks(
+    residual::code_bins(&mut coder, &mut models.residual, bins, key, None).map_err(|_| {
+        CodecError::Corrupt {
+            at: 0,
+            what: "a depth integer beyond 65535 is listed",
+        }
+    })?;
+    residual::code_kinds(
         &mut coder,
         &mut models.residual,
         rays,
-        &now.map.sizes,
-        &mut now.active,
-        (!key).then_some(&before.active),
+        now,
+        (!key).then_some(&before.kinds),
     );
-    let mut last = 0u16;
-    // blocks without a sphere are rebuilt pixel from pixel even where every k is 0
-    let walk: Vec<bool> = now
-        .active
-        .iter()
-        .zip(&now.map.palettes)
-        .zip(&now.map.sizes)
-        .map(|((&a, p), &n)| a || p[..usize::from(n)].contains(&NO_SPHERE))
-        .collect();
-    residual::for_each_pixel(rays, &now.mask, &walk, |x, y, i| {
-        let label = now.map.pixels.cells()[i];
-        let block = y / crate::deproject::BLOCK * rays.block_columns + x / crate::deproject::BLOCK;
-        let k = if now.active[block] {
-            residual::code_pixel(&mut coder, &mut models.residual, plane, i, 0)
-        } else {
-            0
-        };
-        plane.cells_mut()[i] = k;
-        if k == 0 && label != NO_SPHERE {
-            return;
-        }
-        let base = if label == NO_SPHERE {
-            fallback(&now.mask.pixels, rebuilt, i, last)
-        } else {
-            rebuilt.cells()[i]
-        };
-        let (u, v) = (rays.u[x], rays.v[y]);
-        let step = if lossless {
-            1
-        } else {
-            reach.step(u * u + v * v + 1.0)
-        };
-        let back = k
-            .saturating_mul(step)
-            .saturating_add(i32::from(base))
-            .clamp(1, 65535) as u16;
-        rebuilt.cells_mut()[i] = back;
-        if !lossless {
-            predicted.cells_mut()[i] = 0.0;
-        }
-        if label == NO_SPHERE {
-            last = back;
-        }
-    });
+    let needed = now.kinds.iter().any(|k| *k != Kind::Smooth);
+    bins.prepare(rays, reach, lossless, needed);
+    residual::code_pixels(
+        &mut coder,
+        &mut models.residual,
+        rays,
+        bins,
+        now,
+        predicted,
+        rebuilt,
+        traces,
+        |_, _, _| (0, true),
+    );
     overrun(&coder)
 }
 
@@ -326,42 +301,30 @@ fn write_frame(
         let whole = &rebuilt.cells()[start..start + width];
         let depth = &mut frame.depth_m[y * width..(y + 1) * width];
         let labels = &mut frame.labels[y * width..(y + 1) * width];
-        if lossless {
-            let v = rays.v[y];
-            for x in 0..width {
-                let q = rays.u[x] * rays.u[x] + v * v + 1.0;
-                let touches = reach.touches(f32::from(whole[x]), smooth[x], q);
-                depth[x] = if on[x] != 0 {
-                    (f64::from(whole[x]) * unit) as f32
-                } else {
-                    0.0
-                };
-                labels[x] = if on[x] == 0 {
-                    INVALID
-                } else if touches {
-                    label[x]
-                } else {
-                    NO_SPHERE
-                };
-            }
-        } else {
-            for x in 0..width {
-                let rounded = !(smooth[x] > 0.0 && smooth[x] < BEYOND);
-                let z = if rounded {
-                    // 0 would mean that nothing was measured
-                    f32::from(whole[x].max(1)) * single
-                } else {
-                    smooth[x] * single
-                };
-                depth[x] = if on[x] != 0 { z } else { 0.0 };
-                labels[x] = if on[x] == 0 {
-                    INVALID
-                } else if rounded {
-                    NO_SPHERE
-                } else {
-                    label[x]
-                };
-            }
+        let v = rays.v[y];
+        for x in 0..width {
+            let q = rays.u[x] * rays.u[x] + v * v + 1.0;
+            let d = smooth[x];
+            // 0 would mean that nothing was measured
+            let integer = whole[x].max(1);
+            let stands = d > 0.0 && d < BEYOND;
+            depth[x] = if on[x] == 0 {
+                0.0
+            } else if lossless {
+                (f64::from(integer) * unit) as f32
+            } else if stands {
+                d * single
+            } else {
+                f32::from(integer) * single
+            };
+            let touches = (stands && !lossless) || reach.touches(f32::from(integer), d.abs(), q);
+            labels[x] = if on[x] == 0 {
+                INVALID
+            } else if touches {
+                label[x]
+            } else {
+                NO_SPHERE
+            };
         }
     }
     frame.spheres.clear();

@@ -3,11 +3,12 @@
 use super::header::{Header, Stream, Tolerance};
 use super::mask::extent;
 use super::range_coder::Encoder as RangeEncoder;
+use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
-use super::state::{MAX_SPHERES, State, fallback};
+use super::state::{MAX_SPHERES, State, to_integer};
 use super::{CodecError, EncodedFrame, label_map, mask, residual};
 use crate::contact_map::assign::{EMPTY, PALETTE};
-use crate::contact_map::contact::Reach;
+use crate::contact_map::contact::{Reach, measured};
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::fit::live::FitOptions;
@@ -77,6 +78,9 @@ const NOWHERE: Sphere = Sphere {
 /// and residuals more; measured flat between 1/8 and 1/32 of the distance surfaces are fitted to.
 const STEP_SHARE: f64 = 0.0625;
 
+/// A block is dense where at least one pixel in so many misses its sphere.
+const DENSE_FROM: u32 = 4;
+
 impl Encoder {
     /// An encoder for frames of `camera`.
     ///
@@ -140,6 +144,8 @@ impl Encoder {
             .last_sequence
             .filter(|_| self.since_key + 1 < self.options.keyframe_every);
         let key = reference.is_none();
+        // an error on the way leaves no reference
+        self.last_sequence = None;
         self.state.begin(&self.rays, key);
         if !key {
             self.state.follow(&saint.motion);
@@ -167,8 +173,8 @@ impl Encoder {
         self.code_spheres(saint, &mut report);
         self.state
             .predict_and_test(&self.rays, &self.plane, &self.reach, &mut self.hits);
-        self.find_residuals(&mut report);
-        self.code_residuals(key);
+        self.choose_kinds(&mut report);
+        self.code_residuals(key)?;
 
         let header = Header {
             stream: key.then_some(self.stream),
@@ -427,86 +433,96 @@ impl Encoder {
         coder.finish();
     }
 
-    /// k of every measured pixel from the decoder's own prediction.
-    fn find_residuals(&mut self, report: &mut EncodeReport) {
-        let State {
-            now,
-            rebuilt,
-            k: plane,
-            ..
-        } = &mut self.state;
-        let (rays, lossless) = (&self.rays, self.options.tolerance.lossless);
-        let stride = rays.stride();
+    /// What of each block its spheres give back, and so its kind.
+    fn choose_kinds(&mut self, report: &mut EncodeReport) {
         report.touching_pixels = self.hits.iter().map(|h| h.count_ones()).sum();
-        let mut last = 0u16;
-        for y in 0..rays.height {
-            let v = rays.v[y];
-            for bx in 0..rays.block_columns {
-                let block = y / BLOCK * rays.block_columns + bx;
-                if now.map.sizes[block] == 0 {
-                    continue;
-                }
-                let x0 = bx * BLOCK;
-                let raw = &self.plane[y * stride + x0..][..BLOCK.min(rays.width - x0)];
-                let hits = (self.hits[block] >> (y % BLOCK * 8)) as u8;
-                let start = plane.index(x0, y);
-                for (i, &raw) in raw.iter().enumerate() {
-                    let touches = hits >> i & 1 != 0;
-                    if raw == 0 || (touches && !lossless) {
-                        continue;
-                    }
-                    let cell = start + i;
-                    let no_sphere = now.map.pixels.cells()[cell] == NO_SPHERE;
-                    let base = if no_sphere {
-                        fallback(&now.mask.pixels, rebuilt, cell, last)
-                    } else {
-                        rebuilt.cells()[cell]
-                    };
-                    let difference = i32::from(raw) - i32::from(base);
-                    let u = rays.u[x0 + i];
-                    let step = if lossless {
-                        1
-                    } else {
-                        self.reach.step(u * u + v * v + 1.0)
-                    };
-                    let k = (difference + difference.signum() * (step / 2)) / step;
-                    let back = (i32::from(base) + k * step).clamp(1, 65535) as u16;
-                    if k != 0 {
-                        now.active[block] = true;
-                        plane.cells_mut()[cell] = k;
-                    }
-                    rebuilt.cells_mut()[cell] = back;
-                    if no_sphere {
-                        last = back;
+        if self.options.tolerance.lossless {
+            self.keep_exact_hits();
+        }
+        let now = &mut self.state.now;
+        for (k, kind) in now.kinds.iter_mut().enumerate() {
+            let size = usize::from(now.map.sizes[k]);
+            if size == 0 {
+                continue;
+            }
+            let at = (k % self.rays.block_columns, k / self.rays.block_columns);
+            let all = measured(&self.plane, &self.rays, at);
+            let missed = (all & !self.hits[k]).count_ones();
+            *kind = if missed == 0 {
+                Kind::Smooth
+            } else if missed * DENSE_FROM < all.count_ones() {
+                Kind::Sparse
+            } else {
+                Kind::Dense
+            };
+        }
+    }
+
+    /// Lossless, a hit is a pixel whose sphere gives the integer itself.
+    fn keep_exact_hits(&mut self) {
+        let (rays, state) = (&self.rays, &self.state);
+        let stride = rays.stride();
+        for (k, hits) in self.hits.iter_mut().enumerate() {
+            let (x0, y0) = (
+                k % rays.block_columns * BLOCK,
+                k / rays.block_columns * BLOCK,
+            );
+            for j in 0..BLOCK {
+                let start = state.predicted.index(x0, y0 + j);
+                let row = &state.predicted.cells()[start..start + BLOCK];
+                let raw = &self.plane[(y0 + j) * stride + x0..][..BLOCK];
+                for i in 0..BLOCK {
+                    if to_integer(row[i]) != raw[i] {
+                        *hits &= !(1 << (8 * j + i));
                     }
                 }
             }
         }
     }
 
-    fn code_residuals(&mut self, key: bool) {
+    fn code_residuals(&mut self, key: bool) -> Result<(), CodecError> {
         let State {
             models,
             now,
             before,
-            k: plane,
+            predicted,
+            rebuilt,
+            traces,
+            bins,
             ..
         } = &mut self.state;
-        let rays = &self.rays;
+        let (rays, plane, hits) = (&self.rays, &self.plane, &self.hits);
+        let lossless = self.options.tolerance.lossless;
         let mut coder = RangeEncoder::new(&mut self.sections[3]);
-        residual::code_blocks(
+        let wanted = Some((plane.as_slice(), &self.reach, lossless));
+        residual::code_bins(&mut coder, &mut models.residual, bins, key, wanted)
+            .map_err(|_| CodecError::Limit("a depth integer beyond 65535".to_string()))?;
+        residual::code_kinds(
             &mut coder,
             &mut models.residual,
             rays,
-            &now.map.sizes,
-            &mut now.active,
-            (!key).then_some(&before.active),
+            now,
+            (!key).then_some(&before.kinds),
         );
-        residual::for_each_pixel(rays, &now.mask, &now.active, |_, _, i| {
-            let k = plane.cells()[i];
-            residual::code_pixel(&mut coder, &mut models.residual, plane, i, k);
-        });
+        let needed = now.kinds.iter().any(|k| *k != Kind::Smooth);
+        bins.prepare(rays, &self.reach, lossless, needed);
+        let stride = rays.stride();
+        residual::code_pixels(
+            &mut coder,
+            &mut models.residual,
+            rays,
+            bins,
+            now,
+            predicted,
+            rebuilt,
+            traces,
+            |block, x, y| {
+                let bit = y % BLOCK * BLOCK + x % BLOCK;
+                (plane[y * stride + x], hits[block] >> bit & 1 != 0)
+            },
+        );
         coder.finish();
+        Ok(())
     }
 }
 

@@ -1,9 +1,10 @@
 //! Section *mask*: which pixels hold a measurement.
 //!
-//! Blocks first (full, empty or mixed), then the pixels of mixed blocks in raster order, each
-//! under a context of six decoded neighbours and three pixels of the last frame's mask.
+//! Blocks first (full, empty or mixed), then the pixels of mixed blocks in raster order: three
+//! contexts of decoded neighbours and of the last frame's mask, mixed.
 
 use super::grid::Plane;
+use super::mixer::{self, CONTEXTS, Estimate, Weights};
 use super::range_coder::{Bit, Coder};
 use crate::contact_map::contact::measured;
 use crate::deproject::{BLOCK, Rays};
@@ -26,7 +27,20 @@ pub enum Fill {
 pub struct Models {
     full: [Bit; 36],
     empty: [Bit; 36],
-    pixel: [Bit; 1024],
+    pixel: [Vec<Estimate>; CONTEXTS],
+    weights: [Weights; 64],
+}
+
+impl Models {
+    /// Back to the start: a key frame begins.
+    pub fn reset(&mut self) {
+        self.full.fill(Bit::default());
+        self.empty.fill(Bit::default());
+        self.weights.fill(Weights::default());
+        for p in &mut self.pixel {
+            p.fill(Estimate::default());
+        }
+    }
 }
 
 impl Default for Models {
@@ -34,7 +48,8 @@ impl Default for Models {
         Self {
             full: [Bit::default(); 36],
             empty: [Bit::default(); 36],
-            pixel: [Bit::default(); 1024],
+            pixel: [1024, 2048, 4096].map(|n| vec![Estimate::default(); n]),
+            weights: [Weights::default(); 64],
         }
     }
 }
@@ -139,7 +154,6 @@ pub fn code<C: Coder>(
             }
         }
     }
-    let stride = mask.pixels.stride();
     for y in 0..rays.height {
         for bx in 0..columns {
             if mask.fills[y / BLOCK * columns + bx] != Fill::Mixed {
@@ -147,27 +161,58 @@ pub fn code<C: Coder>(
             }
             let start = mask.pixels.index(bx * BLOCK, y);
             for i in start..start + BLOCK.min(rays.width - bx * BLOCK) {
-                let p = mask.pixels.cells();
-                let near = [
-                    p[i - 1],
-                    p[i - 2],
-                    p[i - stride - 1],
-                    p[i - stride],
-                    p[i - stride + 1],
-                    p[i - 2 * stride],
-                ];
-                let mut context = near.iter().fold(0usize, |c, &n| c << 1 | usize::from(n));
-                context = context << 4
-                    | before.map_or(8, |b| {
-                        let b = b.pixels.cells();
-                        usize::from(b[i]) << 2
-                            | usize::from(b[i + 1]) << 1
-                            | usize::from(b[i + stride])
-                    });
-                let value = p[i] != 0;
-                let read = coder.bit(&mut models.pixel[context], value);
+                let cells = contexts(&mask.pixels, before.map(|b| &b.pixels), i);
+                let value = mask.pixels.cells()[i] != 0;
+                let [a, b, c] = &mut models.pixel;
+                let read = mixer::code(
+                    coder,
+                    [&mut a[cells[0]], &mut b[cells[1]], &mut c[cells[2]]],
+                    &mut models.weights[cells[0] >> 4],
+                    value,
+                );
                 mask.pixels.cells_mut()[i] = u8::from(read);
             }
         }
     }
+}
+
+/// Contexts of a pixel: ten neighbours decoded already; six of them with three pixels of the last
+/// mask; the last mask all around.
+#[inline(always)]
+fn contexts(mask: &Plane<u8>, before: Option<&Plane<u8>>, i: usize) -> [usize; CONTEXTS] {
+    let (p, s) = (mask.cells(), mask.stride());
+    let bits = |p: &[u8], at: &[usize]| at.iter().fold(0, |c, &k| c << 1 | usize::from(p[k]));
+    let near = bits(p, &[i - 1, i - 2, i - s - 1, i - s, i - s + 1, i - 2 * s]);
+    let wide = bits(
+        p,
+        &[i - 3, i - s - 2, i - s + 2, i - 2 * s - 1, i - 2 * s + 1],
+    );
+    let (few, all) = match before {
+        None => (8, 512),
+        Some(b) => {
+            let b = b.cells();
+            (
+                bits(b, &[i, i + 1, i + s]),
+                bits(
+                    b,
+                    &[
+                        i - s - 1,
+                        i - s,
+                        i - s + 1,
+                        i - 1,
+                        i,
+                        i + 1,
+                        i + s - 1,
+                        i + s,
+                        i + s + 1,
+                    ],
+                ),
+            )
+        }
+    };
+    [
+        near << 4 | few,
+        near << 5 | wide,
+        all << 2 | (near >> 5) << 1 | near >> 2 & 1,
+    ]
 }

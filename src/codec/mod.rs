@@ -1,19 +1,21 @@
 //! The frame payload: a SAINT frame as bytes (`FORMAT.md`).
 //!
 //! Reading order: [`header`], then the four sections [`mask`], [`label_map`], [`sphere_table`],
-//! [`residual`], each a model written once for both directions over the [`range_coder`]; then
+//! [`residual`] (on [`bins`] and the [`mixer`]), each a model written once for both directions over the [`range_coder`]; then
 //! [`encoder`] and [`decoder`], which walk them in the same order.
 
 pub mod polar;
 
 use crate::frame::FrameTime;
 
+pub mod bins;
 pub mod decoder;
 pub mod encoder;
 pub mod grid;
 pub mod header;
 pub mod label_map;
 pub mod mask;
+pub mod mixer;
 pub mod payload;
 pub mod range_coder;
 pub mod residual;

@@ -62,8 +62,15 @@ impl Bit {
 /// Either direction of the coder. A model is written once, against this trait: the encoder codes
 /// the value it is given and returns it, the decoder ignores it and returns what it read.
 pub trait Coder {
+    /// Codes one bit that is a one with probability `one`/65536, which is above 0 and below 65536.
+    fn chance(&mut self, one: u32, value: bool) -> bool;
     /// Codes one bit under a model.
-    fn bit(&mut self, model: &mut Bit, value: bool) -> bool;
+    #[inline(always)]
+    fn bit(&mut self, model: &mut Bit, value: bool) -> bool {
+        let bit = self.chance(model.one(), value);
+        model.learn(bit);
+        bit
+    }
     /// Codes the low `count` (≤ 16) bits of `value` without a model.
     fn plain(&mut self, count: u32, value: u32) -> u32;
 }
@@ -136,15 +143,14 @@ impl<'a> Encoder<'a> {
 
 impl Coder for Encoder<'_> {
     #[inline(always)]
-    fn bit(&mut self, model: &mut Bit, value: bool) -> bool {
-        let bound = (self.range >> 16) * model.one();
+    fn chance(&mut self, one: u32, value: bool) -> bool {
+        let bound = (self.range >> 16) * one;
         if value {
             self.range = bound;
         } else {
             self.low += u64::from(bound);
             self.range -= bound;
         }
-        model.learn(value);
         while self.range < 1 << 24 {
             self.range <<= 8;
             self.shift();
@@ -209,8 +215,8 @@ impl<'a> Decoder<'a> {
 
 impl Coder for Decoder<'_> {
     #[inline(always)]
-    fn bit(&mut self, model: &mut Bit, _: bool) -> bool {
-        let bound = (self.range >> 16) * model.one();
+    fn chance(&mut self, one: u32, _: bool) -> bool {
+        let bound = (self.range >> 16) * one;
         let value = self.code < bound;
         if value {
             self.range = bound;
@@ -218,7 +224,6 @@ impl Coder for Decoder<'_> {
             self.code -= bound;
             self.range -= bound;
         }
-        model.learn(value);
         while self.range < 1 << 24 {
             self.range <<= 8;
             self.code = self.code << 8 | self.next();

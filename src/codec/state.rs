@@ -1,9 +1,10 @@
 //! What encoder and decoder both carry from frame to frame, and the prediction both compute.
 
+use super::bins::Bins;
 use super::grid::Plane;
 use super::label_map::{self, LabelMap, NewNumbers};
-use super::mask::{self, Mask};
-use super::residual;
+use super::mask::{self, Fill, Mask};
+use super::residual::{self, Kind, Trace};
 use super::sphere_table::{self, Entry, Support};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
@@ -33,7 +34,7 @@ pub(super) struct Picture {
     pub mask: Mask,
     pub map: LabelMap,
     pub entries: Vec<Option<Entry>>,
-    pub active: Vec<bool>,
+    pub kinds: Vec<Kind>,
 }
 
 /// A frame in the making, the one before, and the buffers between.
@@ -44,11 +45,13 @@ pub(super) struct State {
     pub before: Picture,
     pub new: NewNumbers,
     pub supports: Vec<Support>,
-    /// Depth each measured pixel's sphere predicts, in depth integers.
+    pub bins: Bins,
+    /// Depth each measured pixel's sphere predicts, in depth integers; its negative where the pixel
+    /// came back from a bin, 0 where that had no sphere.
     pub predicted: Plane<f32>,
-    /// Rebuilt depth integers.
+    /// Rebuilt depth integers; 0 where nothing was measured.
     pub rebuilt: Plane<u16>,
-    pub k: Plane<i32>,
+    pub traces: Plane<Trace>,
 }
 
 impl State {
@@ -71,13 +74,17 @@ impl State {
     pub fn begin(&mut self, rays: &Rays, key: bool) {
         std::mem::swap(&mut self.now, &mut self.before);
         if key {
-            self.models = Models::default();
+            self.models.mask.reset();
+            self.models.labels = label_map::Models::default();
+            self.models.spheres = sphere_table::Models::default();
+            self.models.residual.reset();
             self.before.entries.clear();
         }
         self.now.mask.reset(rays);
         self.now.map.reset(rays);
-        self.now.active.clear();
-        self.now.active.resize(rays.blocks(), false);
+        self.now.kinds.clear();
+        self.now.kinds.resize(rays.blocks(), Kind::Smooth);
+        self.bins.cover(rays);
         self.now.entries.clear();
         self.new
             .reset(self.before.entries.iter().map(Option::is_some));
@@ -98,7 +105,7 @@ impl State {
         }
     }
 
-    /// Fills `predicted` and `rebuilt` from masks, labels and spheres, and clears `k`.
+    /// Fills `predicted` and `rebuilt` from masks, labels and spheres, and clears `traces`.
     pub fn predict(&mut self, rays: &Rays) {
         self.cover(rays);
         let State {
@@ -108,6 +115,7 @@ impl State {
             ..
         } = self;
         predict_all(rays, now, predicted, rebuilt);
+        hide_unmeasured(rays, now, rebuilt);
     }
 
     /// The same, and marks in `hits` the pixels of `plane` that touch their sphere (bit `8·row +
@@ -129,21 +137,43 @@ impl State {
             ..
         } = self;
         predict_all(rays, now, predicted, rebuilt);
+        hide_unmeasured(rays, now, rebuilt);
         test_all(rays, now, predicted, plane, reach, hits);
     }
 
     fn cover(&mut self, rays: &Rays) {
         self.predicted.cover(rays, 0.0);
         self.rebuilt.cover(rays, 0);
-        self.k.cover(rays, 0);
-        // only blocks that were active in the last frame hold any k
-        for (block, &active) in self.before.active.iter().enumerate() {
-            if active {
-                self.k.fill_block(
+        self.traces.cover(rays, Trace::default());
+        // only blocks that were not smooth in the last frame hold any trace
+        for (block, &kind) in self.before.kinds.iter().enumerate() {
+            if kind != Kind::Smooth {
+                self.traces.fill_block(
                     block % rays.block_columns * BLOCK,
                     block / rays.block_columns * BLOCK,
-                    0,
+                    Trace::default(),
                 );
+            }
+        }
+    }
+}
+
+/// Clears the rebuilt integers of pixels without a measurement: neighbours tell them by their 0.
+fn hide_unmeasured(rays: &Rays, now: &Picture, rebuilt: &mut Plane<u16>) {
+    for k in 0..rays.blocks() {
+        let (x0, y0, w, h) = mask::extent(rays, k);
+        match now.mask.fills[k] {
+            Fill::Empty => rebuilt.fill_block(x0, y0, 0),
+            Fill::Full if (w, h) == (BLOCK, BLOCK) => {}
+            _ => {
+                for j in 0..BLOCK {
+                    let start = rebuilt.index(x0, y0 + j);
+                    let on = &now.mask.pixels.cells()[start..start + BLOCK];
+                    let row = &mut rebuilt.cells_mut()[start..start + BLOCK];
+                    for (r, &m) in row.iter_mut().zip(on) {
+                        *r *= u16::from(m);
+                    }
+                }
             }
         }
     }
@@ -281,17 +311,4 @@ fn test_all(
 pub(super) fn to_integer(depth: f32) -> u16 {
     // the cast takes NaN and negatives to 0 and large values to the largest integer
     (depth + 0.5) as u16
-}
-
-/// What a pixel without a sphere is predicted from: its left, upper, upper right neighbour, or the
-/// last one rebuilt.
-#[inline(always)]
-pub(super) fn fallback(mask: &Plane<u8>, rebuilt: &Plane<u16>, i: usize, last: u16) -> u16 {
-    let (m, r, s) = (mask.cells(), rebuilt.cells(), mask.stride());
-    for n in [i - 1, i - s, i - s + 1] {
-        if m[n] != 0 {
-            return r[n];
-        }
-    }
-    last
 }

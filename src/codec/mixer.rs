@@ -1,0 +1,192 @@
+//! Logistic mixing: one bit under several models at once.
+//!
+//! Each context keeps its own estimate of the bit. The estimates, as log-odds, are added with
+//! weights that are learnt from how well the sum did (M. Mahoney, "Adaptive weighing of context
+//! models for lossless data compression", 2005). Integers only, so that both sides agree
+//! everywhere (`FORMAT.md` §1.4).
+
+use super::range_coder::Coder;
+
+/// Contexts that are mixed; the last lane is a constant.
+pub const CONTEXTS: usize = 3;
+const LANES: usize = CONTEXTS + 1;
+
+/// `65536/(1 + e^(−i/2))` for i = −16 … 16.
+const LOGISTIC: [i32; 33] = [
+    22, 36, 60, 98, 162, 267, 439, 720, 1179, 1921, 3108, 4971, 7812, 11955, 17625, 24743, 32768,
+    40793, 47911, 53581, 57724, 60565, 62428, 63615, 64357, 64816, 65097, 65269, 65374, 65438,
+    65476, 65500, 65514,
+];
+/// Log-odds stay within ±8, in 1/256.
+const MOST: i32 = 2047;
+/// The constant lane.
+const CONSTANT: i32 = 64;
+/// A weight of one, its start and its bounds.
+const ONE: u32 = 14;
+const START: i32 = 9830;
+const HEAVIEST: i32 = 1 << 17;
+/// Counts from which an estimate adapts at a fixed rate.
+const SETTLED: u32 = 250;
+
+/// Probability (1/65536) of log-odds `x` (1/256).
+const fn squash(x: i32) -> i32 {
+    let at = ((x >> 7) + 16) as usize;
+    let part = x & 127;
+    (LOGISTIC[at] * (128 - part) + LOGISTIC[at + 1] * part + 64) >> 7
+}
+
+/// Log-odds of each probability in 1/4096: the inverse of [`squash`].
+static STRETCH: [i16; 4096] = {
+    let mut table = [MOST as i16; 4096];
+    let (mut filled, mut x) = (0, -MOST);
+    while x <= MOST {
+        let p = squash(x) >> 4;
+        while filled <= p {
+            table[filled as usize] = x as i16;
+            filled += 1;
+        }
+        x += 1;
+    }
+    table
+};
+
+/// Step towards the bit after so many bits, in 1/32768.
+static RATE: [i32; SETTLED as usize + 1] = {
+    let mut table = [0; SETTLED as usize + 1];
+    let mut n = 0;
+    while n < table.len() {
+        table[n] = 327_680 / (10 * n as i32 + 16);
+        n += 1;
+    }
+    table
+};
+
+/// One context's estimate: probability of a one in the upper, bits seen in the lower half.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimate(u32);
+
+impl Default for Estimate {
+    fn default() -> Self {
+        Self(1 << 31)
+    }
+}
+
+impl Estimate {
+    #[inline(always)]
+    fn log_odds(self) -> i32 {
+        i32::from(STRETCH[(self.0 >> 20) as usize])
+    }
+
+    #[inline(always)]
+    fn learn(&mut self, bit: bool) {
+        let (p, seen) = ((self.0 >> 16) as i32, (self.0 & 0xFFFF).min(SETTLED));
+        let target = if bit { 65535 } else { 0 };
+        let p = p + (((target - p) * RATE[seen as usize]) >> 15);
+        self.0 = (p as u32) << 16 | (seen + 1).min(SETTLED);
+    }
+}
+
+/// Weights of the lanes.
+#[derive(Clone, Copy, Debug)]
+pub struct Weights([i32; LANES]);
+
+impl Default for Weights {
+    fn default() -> Self {
+        let mut weights = [START; LANES];
+        weights[CONTEXTS] = 0;
+        Self(weights)
+    }
+}
+
+/// Codes `value` under the mixed estimates; all of them and the weights learn it.
+#[inline(always)]
+pub fn code<C: Coder>(
+    coder: &mut C,
+    estimates: [&mut Estimate; CONTEXTS],
+    weights: &mut Weights,
+    value: bool,
+) -> bool {
+    let mut lanes = [CONSTANT; LANES];
+    for (lane, e) in lanes.iter_mut().zip(&estimates) {
+        *lane = e.log_odds();
+    }
+    let sum: i32 = lanes.iter().zip(&weights.0).map(|(s, w)| s * w).sum();
+    let p = squash((sum >> ONE).clamp(-MOST, MOST)).clamp(48, 65488);
+    let bit = coder.chance(p as u32, value);
+    let error = ((i32::from(bit) << 16) - p) >> 4;
+    for (w, s) in weights.0.iter_mut().zip(lanes) {
+        *w = (*w + ((s * error + (1 << 12)) >> 13)).clamp(-HEAVIEST, HEAVIEST);
+    }
+    for e in estimates {
+        e.learn(bit);
+    }
+    bit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::range_coder::{Decoder, Encoder};
+    use super::*;
+
+    #[test]
+    fn the_table_is_the_logistic_function() {
+        for x in -MOST..=MOST {
+            let p = 65536.0 / (1.0 + (-f64::from(x) / 256.0).exp());
+            let ours = f64::from(squash(x));
+            // chords of a curve, half a step of logit apart
+            assert!(
+                (ours - p).abs() < 0.008 * p.min(65536.0 - p) * 4.0 + 2.0,
+                "{x}: {ours} {p}"
+            );
+        }
+        for p in 64..4032 {
+            let back = squash(i32::from(STRETCH[p])) >> 4;
+            assert!(back.abs_diff(p as i32) <= 8, "{p} {back}");
+        }
+    }
+
+    /// A bit that is the exclusive or of two others is known to one context of three.
+    #[test]
+    fn the_mixture_follows_the_context_that_knows() {
+        let mut state = 1u64;
+        let mut random = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state
+        };
+        let bits: Vec<[bool; 3]> = (0..20_000)
+            .map(|_| {
+                let r = random();
+                let (a, b) = (r & 1 != 0, r & 2 != 0);
+                [a, b, (a ^ b) ^ (r % 997 < 10)]
+            })
+            .collect();
+        let code_all = |coder: &mut dyn FnMut([&mut Estimate; 3], &mut Weights, bool) -> bool| {
+            let mut estimates = [[Estimate::default(); 4]; 3];
+            let mut weights = Weights::default();
+            let mut read = Vec::new();
+            for &[a, b, value] in &bits {
+                let [x, y, z] = &mut estimates;
+                let at = [
+                    &mut x[usize::from(a)],
+                    &mut y[usize::from(b)],
+                    &mut z[usize::from(a) * 2 + usize::from(b)],
+                ];
+                read.push(coder(at, &mut weights, value));
+            }
+            read
+        };
+        let mut bytes = Vec::new();
+        let mut encoder = Encoder::new(&mut bytes);
+        code_all(&mut |e, w, v| code(&mut encoder, e, w, v));
+        encoder.finish();
+        let mut decoder = Decoder::new(&bytes);
+        let read = code_all(&mut |e, w, _| code(&mut decoder, e, w, false));
+        assert!(read.iter().zip(&bits).all(|(r, b)| *r == b[2]));
+        let p = 10.0 / 997.0f64;
+        let entropy = 20_000.0 * -(p * p.log2() + (1.0 - p) * (1.0 - p).log2());
+        let spent = 8.0 * bytes.len() as f64;
+        assert!(spent < 1.2 * entropy + 200.0, "{spent} bits for {entropy}");
+    }
+}
