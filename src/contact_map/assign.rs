@@ -4,7 +4,7 @@
 //! all but a few pixels, a second or third only where it pays (`bits` below), and inside a block a
 //! pixel keeps the label of the pixel before it while that one still touches (hysteresis in space).
 
-use super::contact::{Reach, contacts};
+use super::contact::{Contact, Touch};
 use super::labels::NO_SPHERE;
 use crate::deproject::Rays;
 use crate::fit::sphere::Sphere;
@@ -16,6 +16,10 @@ pub const CANDIDATES: usize = 10;
 
 /// Bits a pixel costs that no sphere of its block explains.
 const MISS_BITS: u32 = 9;
+/// A block with at most so many pixels beyond reach is not divided further.
+const SETTLED: u32 = 2;
+/// Where all but so many pixels are within reach of the block's own spheres none around is tried.
+const ENOUGH: u32 = 4;
 /// Bits one more sphere costs in a block: its number and the boundary.
 const SPLIT_BITS: [u32; PALETTE] = [0, 26, 24, 24];
 
@@ -58,6 +62,8 @@ pub struct BlockContacts {
     pub pixels: [u64; PALETTE],
     /// Measured pixels that none of them touches.
     pub missing: u64,
+    /// Measured pixels that are beyond reach along the ray: these and more.
+    pub rough: u64,
 }
 
 impl Default for BlockContacts {
@@ -66,78 +72,152 @@ impl Default for BlockContacts {
             palette: EMPTY,
             pixels: [0; PALETTE],
             missing: 0,
+            rough: 0,
         }
     }
 }
 
-/// Divides the measured pixels (`valid`) of the block at `at` among the candidates.
+/// The measured pixels that touch sphere `id`; within reach along the ray is touching, too.
+#[inline(always)] // a closure would lose the caller's vector instructions
+fn touch_of(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    valid: u64,
+    id: u16,
+    spheres: &[Option<Sphere>],
+    contact: &Contact,
+) -> Touch {
+    let Some(Some(sphere)) = spheres.get(usize::from(id)) else {
+        return Touch::default();
+    };
+    let t = contact.pixels(plane, rays, at, sphere);
+    Touch {
+        touching: (t.touching | t.along_ray) & valid,
+        along_ray: t.along_ray & valid,
+    }
+}
+
+/// Divides the measured pixels (`valid`) of the block at `at` among spheres: all to `first` where
+/// that one explains nearly all, else among the candidates that `gather` adds: those known of the
+/// block itself, then, where `true` is passed, those of the blocks around.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // one block's whole view
 pub fn assign(
     plane: &[u16],
     rays: &Rays,
     at: (usize, usize),
     valid: u64,
-    candidates: &Candidates,
+    first: u16,
+    gather: impl Fn(&mut Candidates, bool),
     spheres: &[Option<Sphere>],
-    reach: &Reach,
+    contact: &Contact,
 ) -> BlockContacts {
     let mut out = BlockContacts {
         missing: valid,
+        rough: valid,
         ..Default::default()
     };
     if valid == 0 {
         return out;
     }
-    let mut touch = [0u64; CANDIDATES];
     let measured = valid.count_ones();
-    for (k, &id) in candidates.ids().iter().enumerate() {
-        let Some(Some(sphere)) = spheres.get(usize::from(id)) else {
-            continue;
+    // one that explains (nearly) all is taken: the rest is not even tried
+    let settles = |t: Touch| (valid & !t.along_ray).count_ones() <= SETTLED && measured > 8;
+    let alone = |id: u16, t: Touch| {
+        let mut out = BlockContacts {
+            missing: valid & !t.touching,
+            rough: valid & !t.along_ray,
+            ..Default::default()
         };
-        touch[k] = contacts(plane, rays, at, sphere, reach) & valid;
-        // the first that explains (nearly) all is taken: the rest is not even tried
-        if (valid & !touch[k]).count_ones() * MISS_BITS <= 18 && measured > 8 {
-            out.palette[0] = id;
-            out.pixels[0] = touch[k];
-            out.missing = valid & !touch[k];
-            return out;
+        out.palette[0] = id;
+        out.pixels[0] = t.touching;
+        out
+    };
+    let own = touch_of(plane, rays, at, valid, first, spheres, contact);
+    if settles(own) {
+        return alone(first, own);
+    }
+    let mut candidates = Candidates::default();
+    let mut touch = [Touch::default(); CANDIDATES];
+    let (mut beyond, mut apart) = (valid, valid);
+    for around in [false, true] {
+        let known = candidates.len;
+        gather(&mut candidates, around);
+        for k in known..candidates.len {
+            let id = candidates.ids[k];
+            touch[k] = if id == first {
+                own
+            } else {
+                touch_of(plane, rays, at, valid, id, spheres, contact)
+            };
+            if settles(touch[k]) {
+                return alone(id, touch[k]);
+            }
+            beyond &= !touch[k].along_ray;
+            apart &= !touch[k].touching;
+        }
+        // the spheres that were here before still divide it among them
+        if beyond.count_ones() <= ENOUGH || (apart == 0 && beyond.count_ones() <= 2 * ENOUGH) {
+            break;
         }
     }
-    // greedy cover
+    // greedy cover: first along the ray, then what merely touches
+    let touch = &mut touch[..candidates.len];
     let mut chosen = [0usize; PALETTE];
     let mut n = 0;
     let mut covered = 0u64;
-    while n < PALETTE {
-        let mut best = (0u32, 0usize);
-        for (k, &pixels) in touch.iter().enumerate().take(candidates.len) {
-            let gain = (pixels & !covered).count_ones() * MISS_BITS;
-            if gain > best.0 {
-                best = (gain, k);
+    let mut rough = valid;
+    for along_ray in [true, false] {
+        while n < PALETTE {
+            let mut best = (0u32, 0usize);
+            for (k, t) in touch.iter().enumerate() {
+                let pixels = if along_ray { t.along_ray } else { t.touching };
+                let gain = (pixels & !covered).count_ones() * MISS_BITS;
+                if gain > best.0 {
+                    best = (gain, k);
+                }
+            }
+            if best.0 <= SPLIT_BITS[n] {
+                break;
+            }
+            chosen[n] = best.1;
+            covered |= if along_ray {
+                touch[best.1].along_ray
+            } else {
+                touch[best.1].touching
+            };
+            n += 1;
+        }
+        if along_ray {
+            rough &= !covered;
+            for &k in &chosen[..n] {
+                covered |= touch[k].touching;
             }
         }
-        if best.0 <= SPLIT_BITS[n] {
-            break;
-        }
-        chosen[n] = best.1;
-        covered |= touch[best.1];
-        n += 1;
     }
     out.missing = valid & !covered;
+    out.rough = rough;
+    // a pixel that one of them reaches along the ray does not go to one that merely touches it
+    for &k in &chosen[..n] {
+        touch[k].touching &= touch[k].along_ray | rough;
+    }
+    let touch = |k: usize| touch[k].touching;
     let mut left = covered;
     let mut current = 0usize;
     // scan in the order of coding, stay with the current sphere while it touches
     while left != 0 {
         let first = left.trailing_zeros();
         let stays = chosen[..n].iter().enumerate().max_by_key(|&(c, &k)| {
-            let run = (!(touch[k] >> first) | !(left >> first))
+            let run = (!(touch(k) >> first) | !(left >> first))
                 .trailing_zeros()
                 .min(8 - first % 8);
             // the run to the end of the row, then whoever was on, then whoever has more
-            (run, u32::from(c == current), touch[k].count_ones())
+            (run, u32::from(c == current), touch(k).count_ones())
         });
         let Some((c, &k)) = stays else { break };
         current = c;
-        let run = (!(touch[k] >> first) | !(left >> first))
+        let run = (!(touch(k) >> first) | !(left >> first))
             .trailing_zeros()
             .clamp(1, 8 - first % 8);
         let taken = (((1u128 << run) - 1) as u64) << first;
@@ -162,4 +242,27 @@ pub fn assign(
         }
     }
     out
+}
+
+/// Offers the untouched pixels of the block at `at` to `candidates` (spheres around it that it was
+/// not divided among), as entries of its palette still free. True where one was taken.
+pub fn adopt(
+    contacts: &mut BlockContacts,
+    candidates: &Candidates,
+    pixels: impl Fn(u16) -> u64,
+) -> bool {
+    let mut adopted = false;
+    while let Some(free) = contacts.palette.iter().position(|&id| id == NO_SPHERE) {
+        let gain = |&id: &u16| (pixels(id) & contacts.missing).count_ones();
+        // the first of those with most pixels
+        let best = candidates.ids().iter().rev().max_by_key(|&id| gain(id));
+        let Some(&id) = best.filter(|&id| gain(id) * MISS_BITS > SPLIT_BITS[free]) else {
+            break;
+        };
+        contacts.palette[free] = id;
+        contacts.pixels[free] = pixels(id) & contacts.missing;
+        contacts.missing &= !contacts.pixels[free];
+        adopted = true;
+    }
+    adopted
 }

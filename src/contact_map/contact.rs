@@ -1,4 +1,9 @@
 //! Contact: does a pixel's measurement touch a sphere?
+//!
+//! Two distances answer that. The model gives a pixel to a sphere by the distance of its point to
+//! the surface ([`Contact`], the paper's). The payload promises an error along the ray
+//! ([`Reach`]), which is longer where a surface is seen at a slant; pixels between the two belong
+//! to their sphere and get a residual.
 
 use crate::deproject::{BLOCK, Rays};
 use crate::fit::contact_distance::ContactDistance;
@@ -53,42 +58,98 @@ impl Reach {
     }
 }
 
-/// Pixels of the block at `at` whose measurement touches `sphere` (bit `8·row + column`), in the
-/// decoder's own arithmetic ([`Sphere::inverse_depth`]).
-#[inline(always)]
-#[must_use]
-pub fn contacts(
-    plane: &[u16],
-    rays: &Rays,
-    at: (usize, usize),
-    sphere: &Sphere,
-    reach: &Reach,
-) -> u64 {
-    let stride = rays.stride();
-    let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
-    let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
-        return 0;
-    };
-    let mut bits = 0u64;
-    let (a4, side) = (4.0 * sphere.a, if sphere.far { -1.0 } else { 1.0 });
-    for j in 0..BLOCK {
-        let Some(row) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
-            return 0;
-        };
-        let v = rays.v[y0 + j];
-        let mut on = [0u8; BLOCK];
-        for i in 0..BLOCK {
-            let raw = f32::from(row[i]);
-            let q = u[i] * u[i] + v * v + 1.0;
-            let l = sphere.m.x * u[i] + sphere.m.y * v + sphere.m.z;
-            let w = 0.5 * (l + side * (l * l + a4 * q).sqrt());
-            on[i] = u8::from(reach.touches(raw, rays.per_metre / w, q) & (raw > 0.0) & (w > 0.0));
+/// Which pixels of a block touch a sphere (bit `8·row + column`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Touch {
+    /// Points whose distance to the surface is within reach: the paper's contact.
+    pub touching: u64,
+    /// Points whose distance along the ray is within a share of it: these need no residual.
+    pub along_ray: u64,
+}
+
+/// The contact of the paper (4.1): a point touches a sphere where its distance to the surface is at
+/// most the contact distance, `| |p − c| − r | ≤ τ(z)`. Metres.
+///
+/// With `F = a·|p|² + m·p − 1` and `G² = |m|² + 4a` the distance is d where `F = ±G·d + a·d²`, so
+/// the test is `|F − a·τ²| ≤ G·τ`. Along the ray F is a parabola in the distance, too, with the
+/// slope `F′ = (2a·q·z + l)/√q`: the surface is within τ where `|F + a·τ²| ≤ F′·τ`. Both are
+/// exact, without a root or a division.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contact {
+    floor: f32,
+    per_z2: f32,
+    along_ray: f32,
+}
+
+impl Contact {
+    /// Contact within `distance`, and within the share `along_ray` of it along the ray.
+    #[must_use]
+    pub fn new(distance: &ContactDistance, along_ray: f64) -> Self {
+        Self {
+            floor: distance.floor_m as f32,
+            per_z2: distance.per_z2 as f32,
+            along_ray: along_ray as f32,
         }
-        // gather one bit of each byte
-        let packed = u64::from_le_bytes(on).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-        bits |= packed << (8 * j);
     }
-    bits
+
+    /// Pixels of the block at `at` whose measurement touches `sphere` on the side the camera sees.
+    /// Pixels without a measurement may be among them.
+    #[inline(always)]
+    #[must_use]
+    pub fn pixels(&self, plane: &[u16], rays: &Rays, at: (usize, usize), sphere: &Sphere) -> Touch {
+        let stride = rays.stride();
+        let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
+        let mut touch = Touch::default();
+        let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
+            return touch;
+        };
+        let (a, m, side) = (sphere.a, sphere.m, if sphere.far { -1.0 } else { 1.0 });
+        let slope = (m.length_squared() + 4.0 * a).max(0.0).sqrt();
+        // columns of bits: bit j of lane i is row j, column i
+        let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
+        for j in 0..BLOCK {
+            let Some(row) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
+                return touch;
+            };
+            let v = rays.v[y0 + j];
+            let (constant, v1) = (m.y * v + m.z, v * v + 1.0);
+            for i in 0..BLOCK {
+                let z = f32::from(row[i]) * rays.unit;
+                let (q, l) = (u[i] * u[i] + v1, m.x * u[i] + constant);
+                let (zz, lz) = (z * z, l * z);
+                let reach = self.floor.max(self.per_z2 * zz);
+                let short = reach * self.along_ray;
+                let aqz = a * q * z;
+                let value = aqz * z + lz - 1.0;
+                let close = (value - a * reach * reach).abs() <= slope * reach;
+                let touches = close & (side * (2.0 - lz) >= 0.0);
+                let (over, along_slope) = (value + a * short * short, side * (aqz + aqz + l));
+                let (over, within) = (over * over * q, short * along_slope);
+                let reached = (along_slope > 0.0) & (over <= within * within);
+                near[i] |= u32::from(touches) << j;
+                along[i] |= u32::from(reached) << j;
+            }
+        }
+        touch.touching = transposed(near);
+        touch.along_ray = transposed(along);
+        touch
+    }
+}
+
+/// Columns of bits (the low eight of each lane) as rows: bit `8·row + column`.
+#[inline(always)]
+fn transposed(columns: [u32; BLOCK]) -> u64 {
+    let mut x = u64::from_le_bytes(columns.map(|c| c as u8));
+    // swaps 1×1, then 2×2, then 4×4 squares across the diagonal
+    for (step, mask) in [
+        (7, 0x00AA_00AA_00AA_00AA),
+        (14, 0x0000_CCCC_0000_CCCC),
+        (28, 0x0000_0000_F0F0_F0F0),
+    ] {
+        let t = (x ^ (x >> step)) & mask;
+        x ^= t ^ (t << step);
+    }
+    x
 }
 
 /// Pixels of a block that hold a measurement (bit `8·row + column`).
@@ -96,15 +157,102 @@ pub fn contacts(
 #[must_use]
 pub fn measured(plane: &[u16], rays: &Rays, at: (usize, usize)) -> u64 {
     let stride = rays.stride();
-    let mut bits = 0u64;
+    let mut on = [0u32; BLOCK];
     for j in 0..BLOCK {
         let start = (at.1 * BLOCK + j) * stride + at.0 * BLOCK;
-        let mut on = [0u8; BLOCK];
-        for (o, &raw) in on.iter_mut().zip(&plane[start..start + BLOCK]) {
-            *o = u8::from(raw != 0);
+        for (on, &raw) in on.iter_mut().zip(&plane[start..start + BLOCK]) {
+            *on |= u32::from(raw != 0) << j;
         }
-        let packed = u64::from_le_bytes(on).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-        bits |= packed << (8 * j);
     }
-    bits
+    transposed(on)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Camera, Intrinsics};
+    use glam::DVec3;
+    use proptest::prelude::*;
+
+    fn rays() -> Rays {
+        Rays::new(&Camera {
+            width: 64,
+            height: 64,
+            intrinsics: Intrinsics {
+                fx: 60.0,
+                fy: 62.0,
+                cx: 31.0,
+                cy: 32.5,
+            },
+            depth_unit_m: 0.001,
+            invalid: vec![],
+            depth_min_m: 0.0,
+            depth_max_m: 65.0,
+            fps: None,
+            name: String::new(),
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn columns_become_rows(bits in any::<u64>()) {
+            let column = |i: usize| (0..8).fold(0, |c, j| c | ((bits >> (8 * j + i) & 1) as u32) << j);
+            prop_assert_eq!(transposed(std::array::from_fn(column)), bits);
+        }
+
+        /// Against the distance to centre and radius in double precision.
+        #[test]
+        fn contact_is_the_distance_to_the_surface(
+            (x, y) in (-0.4f64..0.4, -0.4f64..0.4), z in 0.5f64..6.0,
+            radius in prop_oneof![0.05f64..0.4, 1f64..9e3, Just(9e9)], hollow in any::<bool>(),
+            floor_m in 0.002f64..0.02, per_z2 in 0f64..5e-3, share in 0.3f64..1.0, seed in any::<u64>(),
+        ) {
+            let rays = rays();
+            let radius = if hollow { radius + 7.5 } else { radius.min(0.9 * z + if radius > 1.0 { radius } else { 0.0 }) };
+            // around the camera, or a ball before it
+            let front = DVec3::new(x, y, 1.0) * z;
+            let center = if hollow { front - front.normalize() * radius } else { front + front.normalize() * radius };
+            let Some(sphere) = Sphere::from_center_radius(center, radius) else { return Ok(()) };
+            let distance = ContactDistance { floor_m, per_z2 };
+            let at = (((x + 0.5) * 7.9) as usize, ((y + 0.5) * 7.9) as usize);
+            // measurements near the surface, some holes
+            let mut random = seed | 1;
+            let mut next = || { random ^= random << 13; random ^= random >> 7; random ^= random << 17; (random >> 40) as f64 / (1u64 << 24) as f64 };
+            let plane: Vec<u16> = (0..rays.padded()).map(|k| {
+                let (u, v) = (rays.u[k % 64], rays.v[k / 64]);
+                let w = sphere.inverse_depth(u, v, u * u + v * v + 1.0);
+                if next() < 0.1 || !(w > 0.0) { 0 } else { ((1.0 / f64::from(w) + (next() - 0.5) * 0.1) * 1e3).clamp(0.0, 65535.0) as u16 }
+            }).collect();
+            let measured = measured(&plane, &rays, at);
+            let mut found = Contact::new(&distance, share).pixels(&plane, &rays, at, &sphere);
+            found.touching &= measured;
+            found.along_ray &= measured;
+            for bit in 0..64 {
+                let (px, py) = (at.0 * 8 + bit % 8, at.1 * 8 + bit / 8);
+                let raw = plane[py * 64 + px];
+                if raw == 0 {
+                    prop_assert_eq!((found.touching | found.along_ray) >> bit & 1, 0);
+                    continue;
+                }
+                let z = f64::from(raw) * 1e-3;
+                let p = rays.point(px, py, z);
+                // single precision keeps the sphere itself to parts in ten million
+                let slack = 4e-6 * (1.0 + p.length_squared());
+                let d = sphere.distance(p);
+                let l = f64::from(sphere.m.x * rays.u[px] + sphere.m.y * rays.v[py] + sphere.m.z);
+                if (d - distance.at(z)).abs() > slack && (2.0 - l * z).abs() > 1e-3 {
+                    let touches = d <= distance.at(z) && l * z <= 2.0;
+                    prop_assert_eq!(found.touching >> bit & 1 != 0, touches, "{} m off of {}", d, distance.at(z));
+                }
+                let (u, v) = (rays.u[px], rays.v[py]);
+                let q = u * u + v * v + 1.0;
+                let off = (1.0 / f64::from(sphere.inverse_depth(u, v, q)) - z).abs() * f64::from(q).sqrt();
+                // near the outline of a ball both intersections may be in reach: not counted
+                let clear = f64::from(2.0 * sphere.a * q) * z + l;
+                if (off - share * distance.at(z)).abs() > 1e-3 * off + 2.0 * slack && clear.abs() > 0.2 * l.abs() {
+                    prop_assert_eq!(found.along_ray >> bit & 1 != 0, off <= share * distance.at(z), "{} m off along the ray of {}", off, distance.at(z));
+                }
+            }
+        }
+    }
 }

@@ -159,6 +159,15 @@ impl Agglomeration {
         list.count += 1;
     }
 
+    /// Makes `patch` the union of `members`, roots without neighbours so far, under the first.
+    pub fn absorb(&mut self, members: [u32; 4], patch: Patch) {
+        let [keep, gone @ ..] = members;
+        self.patches[keep as usize] = patch;
+        for k in gone {
+            self.parent[k as usize] = keep;
+        }
+    }
+
     /// Number of patches pushed.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -190,15 +199,18 @@ impl Agglomeration {
     /// `allowed` restricts which pairs may be united (patches of one cell).
     pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) {
         self.heap.clear();
+        self.seen.resize(self.patches.len(), 0);
         for a in 0..self.patches.len() as u32 {
             if self.root(a) != a {
                 continue;
             }
+            self.stamp += 1;
             let mut entry = self.neighbours[a as usize].first;
             while entry != NONE {
                 let Link { to, next } = self.links[entry as usize];
                 let b = self.root(to);
-                if a < b && allowed(a, b) {
+                if a < b && self.seen[b as usize] != self.stamp && allowed(a, b) {
+                    self.seen[b as usize] = self.stamp;
                     self.propose(a, b);
                 }
                 entry = next;
@@ -206,18 +218,23 @@ impl Agglomeration {
         }
         let mut steps = 0u32;
         while let Some(best) = self.heap.pop() {
-            let (a, b) = (best.a as usize, best.b as usize);
-            if self.parent[a] != best.a
-                || self.parent[b] != best.b
-                || self.age[a].wrapping_add(self.age[b]) != best.age
-            {
+            let (a, b) = (self.root(best.a), self.root(best.b));
+            if a == b {
+                continue;
+            }
+            // one of the two has grown since: priced anew now that its turn has come
+            let age = self.age[a as usize].wrapping_add(self.age[b as usize]);
+            if (a.min(b), a.max(b), age) != (best.a, best.b, best.age) {
+                if allowed(a, b) {
+                    self.propose(a, b);
+                }
                 continue;
             }
             steps += 1;
             if steps.is_multiple_of(64) && stop() {
                 break;
             }
-            self.unite(best.a, best.b, &allowed);
+            self.unite(a, b);
         }
     }
 
@@ -237,7 +254,7 @@ impl Agglomeration {
         }
     }
 
-    fn unite(&mut self, a: u32, b: u32, allowed: &impl Fn(u32, u32) -> bool) {
+    fn unite(&mut self, a: u32, b: u32) {
         let Some(union) = self.patches[a as usize].union(&self.patches[b as usize]) else {
             return;
         };
@@ -250,14 +267,6 @@ impl Agglomeration {
             .wrapping_add(self.age[gone as usize])
             .wrapping_add(1);
         self.join(keep, gone);
-        let mut entry = self.neighbours[keep as usize].first;
-        while entry != NONE {
-            let Link { to, next } = self.links[entry as usize];
-            if allowed(keep, to) {
-                self.propose(keep, to);
-            }
-            entry = next;
-        }
     }
 
     /// Gives the neighbours of `gone` to `keep`, one entry for each root.

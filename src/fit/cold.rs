@@ -1,15 +1,15 @@
-//! Cold fit: spheres where the last frame's do not hold (a first frame, a new object, a cut).
+//! Cold fit: spheres where none touches (a first frame, a new object, a cut).
 //!
-//! Atoms are blocks whose pixels lie on one surface, or the near and the far part of a block that
-//! a jump edge divides. They are gathered by hex-packed cell (paper 3.2, 4.1) and united inside
-//! their cells, largest unexplained cells first, then across cells together with the spheres
-//! already there ([`agglomerate`](super::agglomerate)).
+//! Atoms are the untouched pixels of a block where they lie on one surface, or their near and far
+//! part where a jump edge divides them. Four atoms that form a square and lie on one surface are
+//! one at once, and four such squares again (as a quadtree is built). The rest is gathered by
+//! hex-packed cell (paper 3.2, 4.1) and united inside cells, then across cells together with the
+//! spheres already there ([`agglomerate`](super::agglomerate)).
 
 use super::agglomerate::{Agglomeration, Patch};
 use super::contact_distance::ContactDistance;
-use super::live::{Block, FitReport, MIN_BLOCK_PIXELS, weight};
-use super::moments::{self, Moments};
-use crate::contact_map::assign::Candidates;
+use super::live::{Blocks, FitReport, weight};
+use super::moments::{self, Moments, SPHERE_BITS, bits_per_point};
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
 use crate::partition::lattice::{CellIndex, Lattice};
@@ -18,11 +18,31 @@ use glam::Vec3;
 /// An atom's own surface may be this far off (mean square, contact distances).
 const ATOM_MISFIT: f64 = 0.3;
 /// Bits a point costs without any sphere: a rougher atom is one where that is dearer.
-const FALLBACK_BITS: f64 = 3.0;
+const FALLBACK_BITS: f64 = 5.0;
 /// Fewest points of an atom.
 const ATOM_POINTS: u32 = 8;
 /// Fewest points for which a new sphere is worth its bits.
 const SPHERE_POINTS: f64 = 10.0;
+/// Fewest points beyond reach along the ray for which a surface they touch is not enough.
+const ROUGH_POINTS: u32 = 20;
+/// Bits each of four atoms may lose when a square of them becomes one.
+const SQUARE_BITS: f64 = 6.0;
+/// Blocks along the side of the largest square.
+const SQUARE: usize = 8;
+/// Neighbouring spheres are offered each other in one of so many frames.
+const TURNS: u32 = 8;
+
+/// Blocks around a block.
+const AROUND: [(isize, isize); 8] = [
+    (1, 0),
+    (0, 1),
+    (1, 1),
+    (-1, 1),
+    (-1, 0),
+    (0, -1),
+    (-1, -1),
+    (1, -1),
+];
 
 /// What the cold fit reads.
 pub(super) struct Problem<'a> {
@@ -31,6 +51,8 @@ pub(super) struct Problem<'a> {
     pub lattice: &'a Lattice,
     pub distance: &'a ContactDistance,
     pub max_spheres: usize,
+    /// Number of the frame, where the spheres already there take part.
+    pub turn: Option<u32>,
 }
 
 /// An atom: which block, which of its pixels, which cell.
@@ -48,8 +70,14 @@ pub(super) struct Workspace {
     slot_of_root: Vec<u16>,
     node_of_slot: Vec<u32>,
     roots: Vec<u32>,
-    pub(super) pending: Vec<bool>,
-    pub(super) candidates: Vec<Candidates>,
+    /// Blocks at whose corner a square of one surface begins.
+    square: Vec<bool>,
+    /// Atoms that are part of another's union, and its slot.
+    given: Vec<(u32, u16)>,
+    /// Slots of spheres that are new or other surfaces than before the last call.
+    pub(super) fresh: Vec<bool>,
+    /// For each slot that was here before: the slot that has its points now, and is another surface.
+    heir: Vec<u16>,
 }
 
 impl Workspace {
@@ -57,6 +85,8 @@ impl Workspace {
     pub(super) fn with_room(spheres: usize) -> Self {
         Self {
             node_of_slot: Vec::with_capacity(spheres),
+            heir: Vec::with_capacity(spheres),
+            fresh: Vec::with_capacity(spheres),
             ..Self::default()
         }
     }
@@ -64,72 +94,74 @@ impl Workspace {
 
 const NONE: u32 = u32::MAX;
 
-/// Fits the blocks without a sphere. Sets `Block::sphere` of every block that got one.
-pub(super) fn blocks(
+/// Fits the pixels that touch nothing. Sets `Blocks::spheres` of the blocks concerned and marks in
+/// `pending` those that must go through contact again. False where there is nothing to fit.
+#[allow(clippy::too_many_arguments)] // the modeler's buffers, borrowed apart
+pub(super) fn fit(
     problem: &Problem<'_>,
-    blocks: &mut [Block],
+    blocks: &mut Blocks,
     slots: &mut Vec<Option<Patch>>,
     graph: &mut Agglomeration,
     work: &mut Workspace,
-    time_is_up: &dyn Fn() -> bool,
-    report: &mut FitReport,
-) {
-    begin(blocks.len(), graph, work);
-    for (k, block) in blocks.iter().enumerate() {
-        if block.sphere == NO_SPHERE && block.valid.count_ones() >= MIN_BLOCK_PIXELS {
-            report.cold_pixels += block.valid.count_ones();
-            atoms_of(problem, k, block.valid, Some(&block.moments), graph, work);
-        }
-    }
-    if work.atoms.is_empty() {
-        return;
-    }
-    connect(problem.rays, blocks, slots, graph, work);
-    settle(problem, blocks, slots, graph, work, time_is_up, report);
-}
-
-/// Fits the pixels that touch nothing yet. False where there is nothing worth fitting. Marks in
-/// `work.pending` the blocks that a new sphere may concern.
-pub(super) fn missing(
-    problem: &Problem<'_>,
-    blocks: &mut [Block],
-    slots: &mut Vec<Option<Patch>>,
-    graph: &mut Agglomeration,
-    work: &mut Workspace,
+    pending: &mut [bool],
     time_is_up: &dyn Fn() -> bool,
     report: &mut FitReport,
 ) -> bool {
     begin(blocks.len(), graph, work);
-    for (k, block) in blocks.iter().enumerate() {
-        if block.contacts.missing.count_ones() >= ATOM_POINTS {
-            report.cold_pixels += block.contacts.missing.count_ones();
-            atoms_of(problem, k, block.contacts.missing, None, graph, work);
+    for k in 0..blocks.len() {
+        let contacts = &blocks.contacts[k];
+        // a surface that is off along the ray costs residuals: where many, it is fitted anew
+        let missing = if contacts.rough.count_ones() >= ROUGH_POINTS {
+            contacts.rough
+        } else {
+            contacts.missing
+        };
+        if missing.count_ones() >= ATOM_POINTS {
+            report.cold_pixels += missing.count_ones();
+            let whole = missing == blocks.valid[k] && blocks.moments[k].count > 0.0;
+            let whole = whole.then_some(&blocks.moments[k]);
+            atoms_of(problem, k, missing, whole, graph, work);
         }
     }
     if work.atoms.is_empty() {
         return false;
     }
-    for block in blocks.iter_mut() {
-        block.sphere = NO_SPHERE;
-    }
-    connect(problem.rays, blocks, &[], graph, work);
+    squares(problem.rays, graph, work);
+    connect(problem, blocks, slots, graph, work);
     settle(problem, blocks, slots, graph, work, time_is_up, report);
-    // a new sphere reaches into the blocks around its own
-    let (columns, rows) = (problem.rays.block_columns, problem.rays.block_rows);
-    work.pending.clear();
-    work.pending.resize(blocks.len(), false);
-    for k in 0..blocks.len() {
-        if blocks[k].sphere != NO_SPHERE {
-            let (x, y) = (k % columns, k / columns);
-            for ny in y.saturating_sub(1)..(y + 2).min(rows) {
-                for nx in x.saturating_sub(1)..(x + 2).min(columns) {
-                    let n = ny * columns + nx;
-                    work.pending[n] |= blocks[n].contacts.missing != 0;
+    mark(problem.rays, blocks, work, pending);
+    true
+}
+
+/// Marks the blocks that a new sphere or a change of one may concern.
+fn mark(rays: &Rays, blocks: &mut Blocks, work: &Workspace, pending: &mut [bool]) {
+    let (columns, rows) = (rays.block_columns, rays.block_rows);
+    pending.fill(false);
+    if work.heir.iter().any(|&h| h != NO_SPHERE) {
+        for (k, contacts) in blocks.contacts.iter().enumerate() {
+            for &id in &contacts.palette {
+                let heir = work.heir.get(usize::from(id)).copied();
+                if let Some(heir) = heir.filter(|h| *h != NO_SPHERE) {
+                    blocks.spheres[k] = [heir, NO_SPHERE];
+                    pending[k] = true;
                 }
             }
         }
     }
-    true
+    // a new sphere reaches into the blocks around its own
+    for (node, atom) in work.atoms.iter().enumerate() {
+        if work.slot_of_root[node] == NO_SPHERE {
+            continue;
+        }
+        let k = atom.block as usize;
+        let (x, y) = (k % columns, k / columns);
+        for ny in y.saturating_sub(1)..(y + 2).min(rows) {
+            for nx in x.saturating_sub(1)..(x + 2).min(columns) {
+                let n = ny * columns + nx;
+                pending[n] |= n == k || blocks.contacts[n].rough.count_ones() >= ATOM_POINTS;
+            }
+        }
+    }
 }
 
 fn begin(blocks: usize, graph: &mut Agglomeration, work: &mut Workspace) {
@@ -151,11 +183,7 @@ fn atoms_of(
 ) {
     let columns = problem.rays.block_columns;
     let at = (k % columns, k / columns);
-    let sums = |keep: u64| {
-        moments::of_block(problem.plane, problem.rays, at, keep, |z| {
-            weight(problem.distance, z)
-        })
-    };
+    let sums = |keep: u64| sums_of(problem.plane, problem.rays, at, keep, problem.distance);
     let mut push = |m: Moments, graph: &mut Agglomeration| -> bool {
         let Some(patch) = Patch::new(m) else {
             return false;
@@ -186,63 +214,137 @@ fn atoms_of(
     }
 }
 
+/// Moments of the pixels of `keep`.
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
+fn sums_of(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    keep: u64,
+    distance: &ContactDistance,
+) -> Moments {
+    moments::of_block(plane, rays, at, keep, |z| weight(distance, z))
+}
+
 /// The pixels nearer and farther than the middle of the block's range of inverse depth.
 fn divide(problem: &Problem<'_>, at: (usize, usize), pixels: u64) -> (u64, u64) {
     let stride = problem.rays.stride();
-    let raw = |bit: u32| {
-        problem.plane[(at.1 * BLOCK + bit as usize / 8) * stride + at.0 * BLOCK + bit as usize % 8]
-    };
-    let each = |mut bits: u64| {
-        std::iter::from_fn(move || {
-            let bit = (bits != 0).then(|| bits.trailing_zeros())?;
-            bits &= bits - 1;
-            Some(bit)
-        })
-    };
-    let (low, high) = each(pixels).fold((u16::MAX, 1), |(l, h), b| (l.min(raw(b)), h.max(raw(b))));
+    let row = |j: usize| &problem.plane[(at.1 * BLOCK + j) * stride + at.0 * BLOCK..][..BLOCK];
+    let (mut low, mut high) = (u16::MAX, 1);
+    for j in 0..BLOCK {
+        let bits = pixels >> (8 * j);
+        for (i, &raw) in row(j).iter().enumerate() {
+            let on = bits >> i & 1 != 0;
+            low = low.min(if on { raw } else { u16::MAX });
+            high = high.max(if on { raw } else { 1 });
+        }
+    }
     // the middle in inverse depth is the harmonic mean
     let middle = 2.0 / (1.0 / f32::from(low) + 1.0 / f32::from(high));
-    let near = each(pixels)
-        .filter(|&b| f32::from(raw(b)) < middle)
-        .fold(0u64, |m, b| m | 1 << b);
-    (near, pixels & !near)
+    let mut near = 0u64;
+    for j in 0..BLOCK {
+        for (i, &raw) in row(j).iter().enumerate() {
+            near |= u64::from(f32::from(raw) < middle) << (8 * j + i);
+        }
+    }
+    (near & pixels, pixels & !near)
+}
+
+/// Unites squares of 2×2 atoms on one surface, then 2×2 such squares, up to `SQUARE` blocks wide.
+fn squares(rays: &Rays, graph: &mut Agglomeration, work: &mut Workspace) {
+    let (columns, rows) = (rays.block_columns, rays.block_rows);
+    work.square.clear();
+    work.square
+        .extend(work.of_block.iter().map(|a| a[0] != NONE && a[1] == NONE));
+    let mut half = 1;
+    while 2 * half <= SQUARE {
+        for y in (0..rows).step_by(2 * half) {
+            for x in (0..columns).step_by(2 * half) {
+                let k = y * columns + x;
+                let inside = x + half < columns && y + half < rows;
+                let corners = [k, k + half, k + half * columns, k + half * (columns + 1)];
+                let all = inside && corners.iter().all(|&c| work.square[c]);
+                work.square[k] = all && {
+                    let nodes = corners.map(|c| graph.root(work.of_block[c][0]));
+                    unite_square(nodes, graph)
+                };
+            }
+        }
+        half *= 2;
+    }
+}
+
+/// Makes four patches one where each of them is on its surface as well as on its own.
+fn unite_square(nodes: [u32; 4], graph: &mut Agglomeration) -> bool {
+    let mut moments = graph.patch(nodes[0]).moments;
+    for &n in &nodes[1..] {
+        moments.add(&graph.patch(n).moments);
+    }
+    let Some(fit) = moments.fit() else {
+        return false;
+    };
+    let mut bits = SPHERE_BITS;
+    for &n in &nodes {
+        let own = graph.patch(n);
+        let there = own.moments.count * bits_per_point(own.moments.misfit(&fit.sphere));
+        if there > own.bits - SPHERE_BITS + SQUARE_BITS {
+            return false;
+        }
+        bits += there;
+    }
+    graph.absorb(nodes, Patch { moments, fit, bits });
+    true
 }
 
 /// Edges between atoms of neighbouring blocks, and nodes for the spheres already there.
 fn connect(
-    rays: &Rays,
-    blocks: &[Block],
+    problem: &Problem<'_>,
+    blocks: &Blocks,
     slots: &[Option<Patch>],
     graph: &mut Agglomeration,
     work: &mut Workspace,
 ) {
-    let (columns, rows) = (rays.block_columns, rays.block_rows);
+    let (columns, rows) = (problem.rays.block_columns, problem.rays.block_rows);
     work.node_of_slot.clear();
-    for slot in slots {
-        work.node_of_slot.push(match slot {
-            Some(patch) if patch.moments.count >= 16.0 => graph.push(*patch),
-            _ => NONE,
-        });
+    if problem.turn.is_some() {
+        for slot in slots {
+            work.node_of_slot.push(match slot {
+                Some(patch) if patch.moments.count >= 16.0 => graph.push(*patch),
+                _ => NONE,
+            });
+        }
     }
+    let turn = problem.turn.unwrap_or(0);
+    let sphere = |k: usize| blocks.contacts[k].palette[0];
     for k in 0..blocks.len() {
-        let own = nodes(k, blocks, work);
-        if own[0] == NONE {
+        let (x, y) = (k % columns, k / columns);
+        let right = (x + 1 < columns).then_some(k + 1);
+        let below = (y + 1 < rows).then_some(k + columns);
+        if work.of_block[k][0] == NONE {
+            // two spheres that meet: some of them are offered each other now, others later
+            for n in [right, below].into_iter().flatten() {
+                let (a, b) = (sphere(k), sphere(n));
+                if a != b && u32::from(a ^ b).wrapping_add(turn).is_multiple_of(TURNS) {
+                    let ends = [nodes(k, blocks, graph, work), nodes(n, blocks, graph, work)];
+                    if work.of_block[n][0] == NONE && ends[0][0] != NONE && ends[1][0] != NONE {
+                        graph.touch(ends[0][0], ends[1][0]);
+                    }
+                }
+            }
             continue;
         }
-        let (x, y) = (k % columns, k / columns);
-        let ahead = [
-            (x + 1 < columns, k + 1),
-            (y + 1 < rows, k + columns),
-            (x + 1 < columns && y + 1 < rows, k + columns + 1),
-            (x > 0 && y + 1 < rows, k + columns - usize::from(x > 0)),
-        ];
-        for (there, n) in ahead {
-            if !there {
+        let own = nodes(k, blocks, graph, work);
+        for (dx, dy) in AROUND {
+            let (nx, ny) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
+            let n = ny.wrapping_mul(columns).wrapping_add(nx);
+            // of two blocks with atoms the first one sees to it
+            if nx >= columns || ny >= rows || (n < k && work.of_block[n][0] != NONE) {
                 continue;
             }
-            for a in own {
-                for b in nodes(n, blocks, work) {
-                    if a != NONE && b != NONE {
+            for b in nodes(n, blocks, graph, work) {
+                for a in own {
+                    if a != b && a != NONE && b != NONE {
                         graph.touch(a, b);
                     }
                 }
@@ -251,15 +353,16 @@ fn connect(
     }
 }
 
-/// Graph nodes of a block: its atoms, or the sphere that holds it.
-fn nodes(k: usize, blocks: &[Block], work: &Workspace) -> [u32; 2] {
+/// Graph nodes of a block: its atoms, or the sphere that has most of it.
+fn nodes(k: usize, blocks: &Blocks, graph: &Agglomeration, work: &Workspace) -> [u32; 2] {
     let atoms = work.of_block[k];
     if atoms[0] != NONE {
-        return atoms;
+        let root = |n: u32| if n == NONE { NONE } else { graph.root(n) };
+        return atoms.map(root);
     }
     [
         work.node_of_slot
-            .get(usize::from(blocks[k].sphere))
+            .get(usize::from(blocks.contacts[k].palette[0]))
             .copied()
             .unwrap_or(NONE),
         NONE,
@@ -269,7 +372,7 @@ fn nodes(k: usize, blocks: &[Block], work: &Workspace) -> [u32; 2] {
 /// Unites atoms, gives the unions to slots and the blocks their spheres.
 fn settle(
     problem: &Problem<'_>,
-    blocks: &mut [Block],
+    blocks: &mut Blocks,
     slots: &mut Vec<Option<Patch>>,
     graph: &mut Agglomeration,
     work: &mut Workspace,
@@ -279,6 +382,8 @@ fn settle(
     let atoms = &work.atoms;
     let cell = |k: u32| atoms.get(k as usize).map(|a| a.cell);
     graph.run(|a, b| cell(a).is_some() && cell(a) == cell(b), time_is_up);
+    // twice: a pair that saved nothing may do so once both have grown
+    graph.run(|_, _| true, time_is_up);
     graph.run(|_, _| true, time_is_up);
     report.degraded |= time_is_up();
 
@@ -296,17 +401,25 @@ fn settle(
             work.slot_of_root[root] = slot as u16;
         }
     }
+    work.heir.clear();
+    work.heir.resize(slots.len(), NO_SPHERE);
+    work.fresh.clear();
+    work.fresh.resize(slots.len(), false);
     for (slot, &node) in work.node_of_slot.iter().enumerate() {
         if node == NONE {
             continue;
         }
         let root = graph.root(node);
-        if usize::from(work.slot_of_root[root as usize]) != slot {
+        let holder = work.slot_of_root[root as usize];
+        if usize::from(holder) != slot {
             slots[slot] = None;
+            work.heir[slot] = holder;
         } else if graph.patch(root).moments.count
             > slots[slot].as_ref().map_or(0.0, |p| p.moments.count)
         {
             slots[slot] = Some(*graph.patch(root));
+            work.heir[slot] = holder;
+            work.fresh[slot] = true;
             report.refitted += 1;
         }
     }
@@ -335,16 +448,28 @@ fn settle(
         }
         if free == slots.len() {
             slots.push(None);
+            work.fresh.push(false);
         }
+        work.fresh[free] = true;
         slots[free] = Some(*graph.patch(root));
         work.slot_of_root[root as usize] = free as u16;
         report.new += 1;
     }
-    for (k, atom) in work.atoms.iter().enumerate() {
-        let id = work.slot_of_root[graph.root(k as u32) as usize];
-        let block = &mut blocks[atom.block as usize];
-        if block.sphere == NO_SPHERE {
-            block.sphere = id;
+    for (node, atom) in work.atoms.iter().enumerate() {
+        // every atom's own entry from here on, not only its root's
+        let id = work.slot_of_root[graph.root(node as u32) as usize];
+        let there = &mut blocks.spheres[atom.block as usize];
+        let second = work.of_block[atom.block as usize][0] != node as u32;
+        if second {
+            there[1] = id;
+        } else {
+            *there = [id, NO_SPHERE];
         }
+        if graph.root(node as u32) != node as u32 {
+            work.given.push((node as u32, id));
+        }
+    }
+    for (node, id) in work.given.drain(..) {
+        work.slot_of_root[node as usize] = id;
     }
 }

@@ -1,14 +1,15 @@
 //! The live fit: one depth frame to spheres and contact map, warm from the frame before.
 //!
-//! A frame goes through five passes, each over blocks of 8×8 pixels:
+//! A frame goes through these passes, each over blocks of 8×8 pixels:
 //! 1. moments of every block ([`moments`]);
-//! 2. warm start (`warm`): blocks that the last frame's spheres still explain keep them, the
-//!    spheres are refitted from the blocks' moments, or kept to the bit where that is as good;
-//! 3. cold fit (`cold`): what is left is grown from block patches into spheres, inside each
-//!    hex-packed cell first, then across cells;
-//! 4. contact ([`assign`]): each block's pixels are given to the fewest spheres that touch them;
+//! 2. warm start (`warm`): the last frame's spheres are moved with the camera and refitted from the
+//!    moments of the blocks they still explain, or kept to the bit where that is as good;
+//! 3. contact ([`assign`]): each block's pixels are given to the fewest spheres that touch them. A
+//!    block that its last sphere explains is looked at once;
+//! 4. cold fit (`cold`): what touches nothing is grown from block patches into spheres, inside each
+//!    hex-packed cell first, then across cells, and the blocks concerned go through contact again;
 //! 5. what still touches nothing is fitted again as points of its own (paper 3.1: "use the
-//!    remaining points to fit the sphere again"), twice.
+//!    remaining points to fit the sphere again").
 //!
 //! The deadline is asked between and inside the passes. When time is up the frame is finished with
 //! the spheres there are; pixels without one are coded by the codec's fallback and counted.
@@ -16,9 +17,11 @@
 use super::agglomerate::{Agglomeration, Patch};
 use super::contact_distance::ContactDistance;
 use super::moments::{self, Moments};
+use super::motion::Motion;
+use super::sphere::Sphere;
 use super::{cold, warm};
 use crate::contact_map::assign::{self, BlockContacts, Candidates, EMPTY, Palette};
-use crate::contact_map::contact::{Reach, measured};
+use crate::contact_map::contact::{Contact, measured};
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::frame::{Camera, DepthFrame};
@@ -75,38 +78,54 @@ pub struct FitReport {
     pub degraded: bool,
 }
 
-/// One block between the passes.
-#[derive(Clone, Debug)]
-pub(super) struct Block {
+/// The blocks of a frame between the passes, one entry of each list a block.
+#[derive(Debug, Default)]
+pub(super) struct Blocks {
     /// Measured pixels.
-    pub valid: u64,
+    pub valid: Vec<u64>,
     /// Sums over them; empty where there are too few.
-    pub moments: Moments,
-    /// The sphere that explains the block as a whole, or `NO_SPHERE`.
-    pub sphere: u16,
+    pub moments: Vec<Moments>,
+    /// The spheres fitted to the block or to parts of it, or `NO_SPHERE`.
+    pub spheres: Vec<[u16; 2]>,
     /// Pixels by sphere.
-    pub contacts: BlockContacts,
+    pub contacts: Vec<BlockContacts>,
+    /// Spheres that had pixels here in the last frame.
+    pub before: Vec<Palette>,
 }
 
-impl Default for Block {
-    fn default() -> Self {
+impl Blocks {
+    fn new(count: usize) -> Self {
         Self {
-            valid: 0,
-            moments: Moments::default(),
-            sphere: NO_SPHERE,
-            contacts: BlockContacts::default(),
+            valid: vec![0; count],
+            moments: vec![Moments::default(); count],
+            spheres: vec![NOTHING; count],
+            contacts: vec![BlockContacts::default(); count],
+            before: vec![EMPTY; count],
         }
     }
+
+    /// Number of blocks.
+    pub(super) fn len(&self) -> usize {
+        self.valid.len()
+    }
 }
+
+/// No sphere is fitted to a block.
+pub(super) const NOTHING: [u16; 2] = [NO_SPHERE; 2];
 
 /// Share of the contact distance to which surfaces are fitted. Fitted to all of it, a sphere would
 /// take in its neighbours' noise; fitted to less, spheres describe surfaces and the rest of
 /// the distance is room for noise. At equal Chamfer distance (Kinect, moving, 2 mm) that saves a
 /// quarter of the bits; a still smaller share saves 5 % more but breaks plain walls into patches.
 const SURFACE_SHARE: f64 = 0.7;
-/// Share of the contact distance within which a pixel is given to a sphere; what is left is room
+/// Share of the contact distance within which a point touches a sphere; what is left is room
 /// for the quantisation of spheres in the payload.
-const TOUCH_SHARE: f64 = 0.85;
+const TOUCH_SHARE: f64 = 0.95;
+/// Share of the contact distance, along the ray, that a sphere chosen for a pixel keeps.
+const RAY_SHARE: f64 = 0.85;
+
+/// Fewest untouched pixels that are offered to the spheres around.
+const ADOPTED_PIXELS: u32 = 3;
 
 /// Fewest pixels from which a block's surface is judged.
 pub(super) const MIN_BLOCK_PIXELS: u32 = 12;
@@ -116,13 +135,15 @@ pub(super) const MIN_BLOCK_PIXELS: u32 = 12;
 pub struct Modeler {
     rays: Rays,
     validity: Validity,
-    reach: Reach,
+    contact: Contact,
     options: FitOptions,
     surface: ContactDistance,
     lattice: Lattice,
     plane: Vec<u16>,
-    blocks: Vec<Block>,
-    before: Vec<Palette>,
+    blocks: Blocks,
+    /// Blocks that are to go through contact.
+    pending: Vec<bool>,
+    frames: u32,
     slots: Vec<Option<Patch>>,
     frame: SaintFrame,
     graph: Agglomeration,
@@ -139,16 +160,17 @@ impl Modeler {
         let room = options.max_spheres.min(usize::from(NO_SPHERE));
         Self {
             validity: Validity::new(camera),
-            reach: Reach::new(
+            contact: Contact::new(
                 &options.contact_distance.scaled(TOUCH_SHARE),
-                camera.depth_unit_m,
+                RAY_SHARE / TOUCH_SHARE,
             ),
             surface: options.contact_distance.scaled(SURFACE_SHARE),
             options: *options,
             lattice: Lattice::new(options.packing, options.cube_size_m),
             plane: Vec::new(),
-            blocks: vec![Block::default(); rays.blocks()],
-            before: vec![EMPTY; rays.blocks()],
+            blocks: Blocks::new(rays.blocks()),
+            pending: vec![true; rays.blocks()],
+            frames: 0,
             slots: Vec::with_capacity(room),
             frame: SaintFrame {
                 spheres: Vec::with_capacity(room),
@@ -163,9 +185,10 @@ impl Modeler {
 
     /// Forgets the frame before: the next one is fitted from nothing.
     pub fn reset(&mut self) {
-        self.before.fill(EMPTY);
+        self.blocks.before.fill(EMPTY);
         self.slots.clear();
         self.frame.spheres.clear();
+        self.frames = 0;
     }
 
     /// Fits `frame`; `time_is_up` is asked often and ends the search where it says true.
@@ -184,23 +207,41 @@ impl Modeler {
             ..FitReport::default()
         };
         self.measure();
-        self.warm_start(&mut report);
-        self.cold_start(time_is_up, &mut report);
-        self.contact();
-        self.remaining(time_is_up, &mut report);
+        let warm = !self.slots.is_empty();
+        if warm {
+            self.warm_start(&mut report);
+            self.pending.fill(true);
+            self.touch(false);
+        }
+        self.fit(warm, time_is_up, &mut report);
+        self.adopt();
         self.finish(out, &mut report);
+        self.frames = self.frames.wrapping_add(1);
         report
     }
 
     /// Pass 1: measured pixels and moments of each block.
     fn measure(&mut self) {
         let (rays, plane, distance) = (&self.rays, &self.plane, &self.surface);
-        self.blocks
-            .par_chunks_mut(rays.block_columns)
+        let columns = rays.block_columns;
+        let blocks = &mut self.blocks;
+        blocks
+            .valid
+            .par_chunks_mut(columns)
+            .zip(blocks.moments.par_chunks_mut(columns))
             .enumerate()
-            .for_each(|(by, row)| {
-                measure_row(plane, rays, by, row, distance);
+            .for_each(|(by, (valid, moments))| {
+                measure_row(plane, rays, by, valid, moments, distance);
             });
+        blocks.spheres.fill(NOTHING);
+        for (contacts, &valid) in blocks.contacts.iter_mut().zip(&blocks.valid) {
+            *contacts = BlockContacts {
+                missing: valid,
+                rough: valid,
+                ..BlockContacts::default()
+            };
+        }
+        self.frame.motion = Motion::default();
     }
 
     /// Pass 2: the last frame's spheres.
@@ -208,7 +249,6 @@ impl Modeler {
         self.frame.motion = warm::start(
             &self.rays,
             &mut self.blocks,
-            &self.before,
             &mut self.slots,
             &self.surface,
             &mut self.warm,
@@ -217,38 +257,11 @@ impl Modeler {
         self.sync_spheres();
     }
 
-    /// Pass 3: new spheres where no old one holds.
-    fn cold_start(&mut self, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
-        let problem = cold::Problem {
-            rays: &self.rays,
-            plane: &self.plane,
-            lattice: &self.lattice,
-            distance: &self.surface,
-            max_spheres: self.options.max_spheres,
-        };
-        cold::blocks(
-            &problem,
-            &mut self.blocks,
-            &mut self.slots,
-            &mut self.graph,
-            &mut self.cold,
-            time_is_up,
-            report,
-        );
-        self.sync_spheres();
-    }
-
-    /// Pass 4: pixels to spheres.
-    fn contact(&mut self) {
-        self.cold.pending.clear();
-        self.cold.pending.resize(self.blocks.len(), true);
-        self.contact_pending();
-    }
-
-    /// Pass 5: what is left, fitted again.
-    fn remaining(&mut self, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
-        for _ in 0..2 {
-            if time_is_up() {
+    /// Passes 4 and 5: new spheres where none touches, twice; once more
+    /// where no sphere is left from the last frame.
+    fn fit(&mut self, warm: bool, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
+        for round in 0..if warm { 2 } else { 3 } {
+            if round > 0 && time_is_up() {
                 report.degraded = true;
                 return;
             }
@@ -258,68 +271,76 @@ impl Modeler {
                 lattice: &self.lattice,
                 distance: &self.surface,
                 max_spheres: self.options.max_spheres,
+                // old spheres are offered each other once in a while
+                turn: (round == 0).then_some(self.frames),
             };
-            if !cold::missing(
+            if !cold::fit(
                 &problem,
                 &mut self.blocks,
                 &mut self.slots,
                 &mut self.graph,
                 &mut self.cold,
+                &mut self.pending,
                 time_is_up,
                 report,
             ) {
                 return;
             }
             self.sync_spheres();
-            self.contact_pending();
+            self.touch(warm || round > 0);
         }
     }
 
-    /// Assigns the blocks marked in `cold.pending`.
-    fn contact_pending(&mut self) {
+    /// Pass 3: pixels of the pending blocks to spheres.
+    fn touch(&mut self, again: bool) {
         let columns = self.rays.block_columns;
-        let (rays, plane, reach, before, spheres) = (
-            &self.rays,
-            &self.plane,
-            &self.reach,
-            &self.before,
-            &self.frame.spheres,
-        );
-        // spheres of the blocks around, gathered first: the pass itself is independent per block
-        let blocks = &self.blocks;
-        let pending = &self.cold.pending;
-        let rows = self.rays.block_rows;
-        self.cold
-            .candidates
-            .resize(self.blocks.len(), Candidates::default());
-        self.cold
-            .candidates
+        let blocks = &mut self.blocks;
+        let view = View {
+            plane: &self.plane,
+            rays: &self.rays,
+            valid: &blocks.valid,
+            spheres: &blocks.spheres,
+            before: &blocks.before,
+            pending: &self.pending,
+            fresh: again.then_some(&self.cold.fresh),
+            surfaces: &self.frame.spheres,
+            contact: &self.contact,
+        };
+        blocks
+            .contacts
             .par_chunks_mut(columns)
             .enumerate()
-            .for_each(|(by, row)| {
-                for (bx, out) in row.iter_mut().enumerate() {
-                    let k = by * columns + bx;
-                    if pending[k] && blocks[k].valid != 0 {
-                        *out = candidates(blocks, before, columns, rows, (bx, by));
+            .for_each(|(by, row)| assign_row(&view, by, row));
+    }
+
+    /// What the last round left untouched is offered to the spheres of the blocks around, all that
+    /// these were divided among.
+    fn adopt(&mut self) {
+        let (columns, rows) = (self.rays.block_columns, self.rays.block_rows);
+        for k in 0..self.blocks.len() {
+            let contacts = &self.blocks.contacts[k];
+            if contacts.missing.count_ones() < ADOPTED_PIXELS {
+                continue;
+            }
+            let mut list = Candidates::default();
+            let (x, y) = (k % columns, k / columns);
+            for ny in y.saturating_sub(1)..(y + 2).min(rows) {
+                for nx in x.saturating_sub(1)..(x + 2).min(columns) {
+                    for id in self.blocks.contacts[ny * columns + nx].palette {
+                        if !contacts.palette.contains(&id) {
+                            list.add(id);
+                        }
                     }
                 }
-            });
-        let lists = &self.cold.candidates;
-        self.blocks
-            .par_chunks_mut(columns)
-            .enumerate()
-            .for_each(|(by, row)| {
-                assign_row(
-                    plane,
-                    rays,
-                    by,
-                    row,
-                    &lists[by * columns..],
-                    &pending[by * columns..],
-                    spheres,
-                    reach,
-                );
-            });
+            }
+            let pixels = |id: u16| match self.frame.spheres.get(usize::from(id)) {
+                Some(Some(sphere)) => {
+                    touching(&self.contact, &self.plane, &self.rays, (x, y), sphere)
+                }
+                _ => 0,
+            };
+            assign::adopt(&mut self.blocks.contacts[k], &list, pixels);
+        }
     }
 
     /// Copies the slots' surfaces to where the contact pass reads them.
@@ -336,12 +357,13 @@ impl Modeler {
         let used = &mut self.warm.used;
         used.clear();
         used.resize(self.slots.len(), 0);
-        for (block, before) in self.blocks.iter().zip(&mut self.before) {
-            *before = block.contacts.palette;
-            for (&id, pixels) in block.contacts.palette.iter().zip(&block.contacts.pixels) {
-                if id != NO_SPHERE {
-                    used[usize::from(id)] += pixels.count_ones();
+        for (contacts, before) in self.blocks.contacts.iter().zip(&mut self.blocks.before) {
+            *before = contacts.palette;
+            for (&id, pixels) in contacts.palette.iter().zip(&contacts.pixels) {
+                if id == NO_SPHERE {
+                    break;
                 }
+                used[usize::from(id)] += pixels.count_ones();
             }
         }
         for (slot, &n) in self.slots.iter_mut().zip(used.iter()) {
@@ -357,51 +379,164 @@ impl Modeler {
         out.spheres
             .extend(self.slots.iter().map(|s| s.map(|p| p.fit.sphere)));
         out.labels.resize(width * height, INVALID);
-        for (k, block) in self.blocks.iter().enumerate() {
-            let (x0, y0) = (k % columns * BLOCK, k / columns * BLOCK);
-            let across = BLOCK.min(width - x0);
-            for j in 0..BLOCK.min(height - y0) {
-                let start = (y0 + j) * width + x0;
-                write_row(&mut out.labels[start..start + across], block, 8 * j);
+        out.labels
+            .par_chunks_mut(width * BLOCK)
+            .enumerate()
+            .for_each(|(by, rows)| {
+                let row = by * columns..(by + 1) * columns;
+                write_labels(
+                    rows,
+                    width,
+                    &self.blocks.valid[row.clone()],
+                    &self.blocks.contacts[row],
+                );
+            });
+    }
+}
+
+/// Labels of one row of blocks; `labels` is that part of an image `width` pixels wide.
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
+fn write_labels(labels: &mut [u16], width: usize, valid: &[u64], contacts: &[BlockContacts]) {
+    for (j, line) in labels.chunks_mut(width).enumerate() {
+        let row = |mask: u64| LANES[usize::from((mask >> (8 * j)) as u8)];
+        for ((out, &valid), c) in line.chunks_mut(BLOCK).zip(valid).zip(contacts) {
+            let (on, first) = (row(valid), row(c.pixels[0]));
+            let mut ids = [0; BLOCK];
+            for i in 0..BLOCK {
+                // a hole is all ones, a measurement without a sphere one less
+                ids[i] = (first[i] & c.palette[0]) | (!first[i] & (!on[i] | NO_SPHERE));
+            }
+            if c.palette[1] != NO_SPHERE {
+                for p in 1..assign::PALETTE {
+                    let own = row(c.pixels[p]);
+                    for i in 0..BLOCK {
+                        ids[i] = (own[i] & c.palette[p]) | (!own[i] & ids[i]);
+                    }
+                }
+            }
+            match out.first_chunk_mut::<BLOCK>() {
+                Some(whole) => *whole = ids,
+                None => out.copy_from_slice(&ids[..out.len()]),
             }
         }
     }
 }
 
-/// Labels of one row of a block; `shift` is the bit of its first pixel.
-#[inline]
-fn write_row(row: &mut [u16], block: &Block, shift: usize) {
-    let c = &block.contacts;
-    for (i, label) in row.iter_mut().enumerate() {
-        let bit = 1u64 << (shift + i);
-        *label = if block.valid & bit == 0 {
-            INVALID
-        } else if c.pixels[0] & bit != 0 {
-            c.palette[0]
+/// For each byte its bits as lanes of all ones or none.
+static LANES: [[u16; BLOCK]; 256] = {
+    let mut lanes = [[0; BLOCK]; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let mut i = 0;
+        while i < BLOCK {
+            if byte >> i & 1 != 0 {
+                lanes[byte][i] = u16::MAX;
+            }
+            i += 1;
+        }
+        byte += 1;
+    }
+    lanes
+};
+const _: () = assert!(INVALID == u16::MAX && NO_SPHERE == u16::MAX - 1);
+
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
+fn measure_row(
+    plane: &[u16],
+    rays: &Rays,
+    by: usize,
+    valid: &mut [u64],
+    sums: &mut [Moments],
+    distance: &ContactDistance,
+) {
+    for (bx, (valid, sums)) in valid.iter_mut().zip(sums).enumerate() {
+        *valid = measured(plane, rays, (bx, by));
+        *sums = if valid.count_ones() >= MIN_BLOCK_PIXELS {
+            moments::of_block(plane, rays, (bx, by), *valid, |z| weight(distance, z))
         } else {
-            (1..assign::PALETTE)
-                .find(|&p| c.pixels[p] & bit != 0)
-                .map_or(NO_SPHERE, |p| c.palette[p])
+            Moments::default()
         };
     }
 }
 
-/// Spheres worth trying for a block: its own, then those of the blocks around, now and before.
-fn candidates(
-    blocks: &[Block],
-    before: &[Palette],
-    columns: usize,
-    rows: usize,
+/// Pixels of one block that touch one sphere.
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
+fn touching(
+    contact: &Contact,
+    plane: &[u16],
+    rays: &Rays,
     at: (usize, usize),
-) -> Candidates {
-    let mut list = Candidates::default();
-    let k = at.1 * columns + at.0;
-    list.add(blocks[k].sphere);
-    for &id in &before[k] {
-        list.add(id);
+    sphere: &Sphere,
+) -> u64 {
+    contact.pixels(plane, rays, at, sphere).touching
+}
+
+/// What the contact pass reads.
+struct View<'a> {
+    plane: &'a [u16],
+    rays: &'a Rays,
+    valid: &'a [u64],
+    spheres: &'a [[u16; 2]],
+    before: &'a [Palette],
+    pending: &'a [bool],
+    /// Slots of spheres new since the last contact pass; none in the first pass.
+    fresh: Option<&'a [bool]>,
+    surfaces: &'a [Option<Sphere>],
+    contact: &'a Contact,
+}
+
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
+fn assign_row<'a>(view: &View<'a>, by: usize, row: &mut [BlockContacts]) {
+    for (bx, contacts) in row.iter_mut().enumerate() {
+        let k = by * view.rays.block_columns + bx;
+        if !view.pending[k] || view.valid[k] == 0 {
+            continue;
+        }
+        let now = contacts.palette;
+        let first = [now[0], view.spheres[k][0]]
+            .into_iter()
+            .find(|&id| id != NO_SPHERE)
+            .unwrap_or(view.before[k][0]);
+        *contacts = assign::assign(
+            view.plane,
+            view.rays,
+            (bx, by),
+            view.valid[k],
+            first,
+            |list, around| candidates(view, first, &now, (bx, by), around, list),
+            view.surfaces,
+            view.contact,
+        );
     }
-    for &id in &blocks[k].contacts.palette {
-        list.add(id);
+}
+
+/// Adds the spheres worth trying for a block: `first`, its own now and before, or those of the blocks
+/// `around`.
+fn candidates(
+    view: &View<'_>,
+    first: u16,
+    now: &Palette,
+    at: (usize, usize),
+    around: bool,
+    list: &mut Candidates,
+) {
+    let (columns, rows) = (view.rays.block_columns, view.rays.block_rows);
+    if !around {
+        let k = at.1 * columns + at.0;
+        list.add(first);
+        let before = view.fresh.is_none().then_some(view.before[k]);
+        for &id in view.spheres[k]
+            .iter()
+            .chain(before.iter().flatten())
+            .chain(now)
+        {
+            list.add(id);
+        }
+        return;
     }
     for (dx, dy) in [
         (0, -1),
@@ -416,57 +551,20 @@ fn candidates(
         let (x, y) = (at.0 as isize + dx, at.1 as isize + dy);
         if x >= 0 && y >= 0 && (x as usize) < columns && (y as usize) < rows {
             let n = y as usize * columns + x as usize;
-            list.add(blocks[n].sphere);
-            list.add(before[n][0]);
-        }
-    }
-    list
-}
-
-#[allow(unsafe_code)] // run-time dispatch generated by the macro
-#[multiversion::multiversion(targets("x86_64+avx2"))]
-fn measure_row(
-    plane: &[u16],
-    rays: &Rays,
-    by: usize,
-    row: &mut [Block],
-    distance: &ContactDistance,
-) {
-    for (bx, block) in row.iter_mut().enumerate() {
-        block.valid = measured(plane, rays, (bx, by));
-        block.sphere = NO_SPHERE;
-        block.contacts = BlockContacts::default();
-        block.moments = if block.valid.count_ones() >= MIN_BLOCK_PIXELS {
-            moments::of_block(plane, rays, (bx, by), block.valid, |z| weight(distance, z))
-        } else {
-            Moments::default()
-        };
-    }
-}
-
-#[allow(unsafe_code, clippy::too_many_arguments)]
-#[multiversion::multiversion(targets("x86_64+avx2"))]
-fn assign_row(
-    plane: &[u16],
-    rays: &Rays,
-    by: usize,
-    row: &mut [Block],
-    lists: &[Candidates],
-    pending: &[bool],
-    spheres: &[Option<super::sphere::Sphere>],
-    reach: &Reach,
-) {
-    for (bx, block) in row.iter_mut().enumerate() {
-        if pending[bx] {
-            block.contacts = assign::assign(
-                plane,
-                rays,
-                (bx, by),
-                block.valid,
-                &lists[bx],
-                spheres,
-                reach,
-            );
+            match view.fresh {
+                None => {
+                    list.add(view.spheres[n][0]);
+                    list.add(view.before[n][0]);
+                }
+                // the others have been tried
+                Some(fresh) => {
+                    for id in view.spheres[n] {
+                        if fresh.get(usize::from(id)).is_some_and(|f| *f) {
+                            list.add(id);
+                        }
+                    }
+                }
+            }
         }
     }
 }

@@ -96,8 +96,8 @@ impl Moments {
     /// Squared distance of the points' middle from the camera, m².
     #[inline]
     fn power(&self) -> f64 {
-        let (w, u, v) = self.mean();
-        (u * u + v * v + 1.0) / (w * w)
+        let [o, u, v, _, w, ..] = self.sums;
+        (u * u + v * v + o * o) / (w * w)
     }
 
     /// Mean squared residual of these points on `sphere`, in squared contact distances. The linear
@@ -151,22 +151,21 @@ impl Moments {
         if cuu <= 1e-14 * uu.max(o * 1e-6) {
             return None;
         }
-        let f = cuv / cuu;
+        let per_uu = 1.0 / cuu;
+        let f = cuv * per_uu;
         let dvv = cvv - f * cuv;
         if dvv <= 1e-9 * cvv.max(cuu) {
             return None;
         }
+        let per_vv = 1.0 / dvv;
         let (dvs, dvw) = (cvs - f * cus, cvw - f * cuw);
-        let (g, h) = (cus / cuu, dvs / dvv);
-        let dss = css - g * cus - h * dvs;
-        let dsw = csw - g * cuw - h * dvw;
-        let plane_square = (cww - cuw * cuw / cuu - dvw * dvw / dvv).max(0.0);
+        let plane_square = (cww - cuw * cuw * per_uu - dvw * dvw * per_vv).max(0.0);
         let n = self.count;
         let p = self.power();
         // w = k·(s + p·w) + b·u + c·v + e, then the form w = a·s + m·r
         let solve = |k: f64| {
-            let c = (dvw - k * (dvs + p * dvw)) / dvv;
-            let b = (cuw - k * (cus + p * cuw) - c * cuv) / cuu;
+            let c = (dvw - k * (dvs + p * dvw)) * per_vv;
+            let b = (cuw - k * (cus + p * cuw) - c * cuv) * per_uu;
             let e = (w - k * (s + p * w) - b * u - c * v) * i;
             let d = 1.0 / (1.0 - k * p);
             Sphere {
@@ -175,26 +174,34 @@ impl Moments {
                 far: false,
             }
         };
-        let plane = Fit {
+        let plane = |square: f64| Fit {
             sphere: solve(0.0),
-            misfit: plane_square / n,
+            misfit: square / n,
         };
+        let plane_bits = n * bits_per_point(plane_square / n);
+        // a plane so near that no curvature can save its own bits
+        if n < 8.0 || plane_bits <= CURVATURE_BITS {
+            return Some(plane(plane_square));
+        }
+        let (g, h) = (cus * per_uu, dvs * per_vv);
+        let dss = css - g * cus - h * dvs;
+        let dsw = csw - g * cuw - h * dvw;
         let (bend, lift) = (
             dss + p * (2.0 * dsw + p * plane_square),
             dsw + p * plane_square,
         );
-        if n < 8.0 || bend <= 1e-12 * ss.max(0.0) {
-            return Some(plane);
+        if bend <= 1e-12 * ss.max(0.0) {
+            return Some(plane(plane_square));
         }
         let k = lift / bend;
         let sphere_square = (plane_square - lift * k).max(0.0);
         let misfit = sphere_square / n;
-        if n * (bits_per_point(plane.misfit) - bits_per_point(misfit)) < CURVATURE_BITS {
-            return Some(plane);
+        if plane_bits - n * bits_per_point(misfit) < CURVATURE_BITS {
+            return Some(plane(plane_square));
         }
         let turn = 1.0 - k * p;
         if turn.abs() < 0.02 {
-            return Some(plane); // seen edge-on: no stable sphere
+            return Some(plane(plane_square)); // seen edge-on: no stable sphere
         }
         let mut sphere = solve(k);
         // bent by more than the sphere around the camera: a hollow, seen from outside
@@ -209,8 +216,108 @@ impl Moments {
     }
 }
 
+/// Sum of eight lanes, by halves.
+#[inline(always)]
+fn sum_of(a: [f32; BLOCK]) -> f32 {
+    let b = [a[0] + a[4], a[1] + a[5], a[2] + a[6], a[3] + a[7]];
+    (b[0] + b[2]) + (b[1] + b[3])
+}
+
+/// Mean depth of a block's pixels of `keep`, the centre (u, v, s, w) and the sums about it in the
+/// order of [`Moments::sums`]. `FULL` where `keep` is all of them.
+#[inline(always)]
+fn local_sums<const FULL: bool>(
+    plane: &[u16],
+    rays: &Rays,
+    at: (usize, usize),
+    keep: u64,
+) -> Option<(f64, [f64; 4], [f64; 15])> {
+    const BIT: [u32; BLOCK] = [1, 2, 4, 8, 16, 32, 64, 128];
+    let stride = rays.stride();
+    let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
+    let u = rays.u[x0..].first_chunk::<BLOCK>()?;
+    let v = rays.v[y0..].first_chunk::<BLOCK>()?;
+    let mut z = [[0f32; BLOCK]; BLOCK];
+    let mut total = [0f32; BLOCK];
+    let on = |j: usize| {
+        let bits = (keep >> (8 * j)) as u32;
+        BIT.map(|bit| if FULL || bits & bit != 0 { 1f32 } else { 0.0 })
+    };
+    for j in 0..BLOCK {
+        let row = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>()?;
+        let m = on(j);
+        for i in 0..BLOCK {
+            z[j][i] = f32::from(row[i]) * rays.unit;
+            total[i] += z[j][i] * m[i];
+        }
+    }
+    let count = keep.count_ones() as f32;
+    if count == 0.0 {
+        return None;
+    }
+    let z0 = sum_of(total) / count;
+    let (w0, u0, v0) = (
+        1.0 / z0,
+        u[0] + 3.5 * (u[1] - u[0]),
+        v[0] + 3.5 * (v[1] - v[0]),
+    );
+    let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
+    // columns: sums over the rows of 1, v, vv, w, wv, ww, s, sv, ss, sw, all about the centre
+    let mut c = [[0f32; BLOCK]; 10];
+    let (mut du, mut uu1) = ([0f32; BLOCK], [0f32; BLOCK]);
+    for i in 0..BLOCK {
+        du[i] = u[i] - u0;
+        uu1[i] = u[i] * u[i] + 1.0;
+    }
+    for j in 0..BLOCK {
+        let (dv, vv, m) = (v[j] - v0, v[j] * v[j], on(j));
+        for i in 0..BLOCK {
+            let w = m[i] * (1.0 / z[j][i].max(1e-6) - w0);
+            let s = m[i] * ((uu1[i] + vv) * z[j][i] - s0);
+            if FULL {
+                c[0][i] += 1.0;
+                c[1][i] += dv;
+                c[2][i] += dv * dv;
+            } else {
+                let mv = m[i] * dv;
+                c[0][i] += m[i];
+                c[1][i] += mv;
+                c[2][i] += mv * dv;
+            }
+            c[3][i] += w;
+            c[4][i] += w * dv;
+            c[5][i] += w * w;
+            c[6][i] += s;
+            c[7][i] += s * dv;
+            c[8][i] += s * s;
+            c[9][i] += s * w;
+        }
+    }
+    let sum = |k: usize| f64::from(sum_of(c[k]));
+    let dot = |k: usize| f64::from(sum_of(std::array::from_fn(|i| c[k][i] * du[i])));
+    let uu = f64::from(sum_of(std::array::from_fn(|i| c[0][i] * du[i] * du[i])));
+    let sums = [
+        f64::from(count),
+        dot(0),
+        sum(1),
+        sum(6),
+        sum(3),
+        uu,
+        dot(1),
+        dot(6),
+        dot(3),
+        sum(2),
+        sum(7),
+        sum(4),
+        sum(8),
+        sum(9),
+        sum(5),
+    ];
+    Some((f64::from(z0), [u0, v0, s0, w0].map(f64::from), sums))
+}
+
 /// Moments of the block at (`bx`, `by`) of a padded plane of depth integers (0 = invalid), with
-/// the pixels of `keep` only (bit `8·row + column`). `weight` gives ω from the block's mean depth
+/// the pixels of `keep` only, all of them measured (bit `8·row + column`). `weight` gives ω from the block's mean depth
 /// in metres.
 ///
 /// Sums are single precision about the block's own centre (64 terms, no cancellation), then moved
@@ -223,76 +330,32 @@ pub fn of_block(
     keep: u64,
     weight: impl Fn(f64) -> f64,
 ) -> Moments {
-    let stride = rays.stride();
-    let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
-    let mut z = [[0f32; BLOCK]; BLOCK];
-    let mut on = [[0f32; BLOCK]; BLOCK];
-    let (mut total, mut number) = ([0f32; BLOCK], [0f32; BLOCK]);
-    for j in 0..BLOCK {
-        let start = (y0 + j) * stride + x0;
-        let row = &plane[start..start + BLOCK];
-        let bits = (keep >> (8 * j)) as u8;
-        for i in 0..BLOCK {
-            let raw = row[i];
-            let m = if raw != 0 && bits >> i & 1 != 0 {
-                1.0
-            } else {
-                0.0
-            };
-            z[j][i] = f32::from(raw) * rays.unit;
-            on[j][i] = m;
-            total[i] += z[j][i] * m;
-            number[i] += m;
-        }
-    }
-    let count: f32 = number.iter().sum();
-    if count == 0.0 {
+    // a block without holes, which most are, needs no mask
+    let local = if keep == u64::MAX {
+        local_sums::<true>(plane, rays, at, keep)
+    } else {
+        local_sums::<false>(plane, rays, at, keep)
+    };
+    let Some((z0, [u0, v0, s0, w0], local)) = local else {
         return Moments::default();
-    }
-    let z0 = total.iter().sum::<f32>() / count;
-    let (w0, u0, v0) = (
-        1.0 / z0,
-        rays.u[x0] + 3.5 * (rays.u[x0 + 1] - rays.u[x0]),
-        rays.v[y0] + 3.5 * (rays.v[y0 + 1] - rays.v[y0]),
-    );
-    let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
-    // columns: sums over the rows of 1, v, vv, w, wv, ww, s, sv, ss, sw, all about the centre
-    let mut c = [[0f32; BLOCK]; 10];
-    let mut du = [0f32; BLOCK];
-    let mut uu1 = [0f32; BLOCK];
-    for i in 0..BLOCK {
-        du[i] = rays.u[x0 + i] - u0;
-        uu1[i] = rays.u[x0 + i] * rays.u[x0 + i] + 1.0;
-    }
-    for j in 0..BLOCK {
-        let v = rays.v[y0 + j];
-        let dv = v - v0;
-        for i in 0..BLOCK {
-            let m = on[j][i];
-            let depth = z[j][i];
-            let w = m * (1.0 / depth.max(1e-6) - w0);
-            let s = m * ((uu1[i] + v * v) * depth - s0);
-            let mv = m * dv;
-            c[0][i] += m;
-            c[1][i] += mv;
-            c[2][i] += mv * dv;
-            c[3][i] += w;
-            c[4][i] += w * dv;
-            c[5][i] += w * w;
-            c[6][i] += s;
-            c[7][i] += s * dv;
-            c[8][i] += s * s;
-            c[9][i] += s * w;
-        }
-    }
-    let sum = |k: usize| f64::from(c[k].iter().sum::<f32>());
-    let dot = |k: usize| f64::from((0..BLOCK).map(|i| c[k][i] * du[i]).sum::<f32>());
-    let dot2 = f64::from((0..BLOCK).map(|i| c[0][i] * du[i] * du[i]).sum::<f32>());
-    // local sums, then the shift to the camera's axes
-    let (n, lu, lv, ls, lw) = (f64::from(count), dot(0), sum(1), sum(6), sum(3));
-    let (luu, luv, lus, luw) = (dot2, dot(1), dot(6), dot(3));
-    let (lvv, lvs, lvw, lss, lsw, lww) = (sum(2), sum(7), sum(4), sum(8), sum(9), sum(5));
-    let (u0, v0, s0, w0) = (f64::from(u0), f64::from(v0), f64::from(s0), f64::from(w0));
+    };
+    let [
+        n,
+        lu,
+        lv,
+        ls,
+        lw,
+        luu,
+        luv,
+        lus,
+        luw,
+        lvv,
+        lvs,
+        lvw,
+        lss,
+        lsw,
+        lww,
+    ] = local;
     let shift = |xy: f64, x: f64, y: f64, x0: f64, y0: f64| xy + x0 * y + y0 * x + n * x0 * y0;
     let sums = [
         n,
@@ -311,7 +374,7 @@ pub fn of_block(
         shift(lsw, ls, lw, s0, w0),
         shift(lww, lw, lw, w0, w0),
     ];
-    let omega = weight(f64::from(z0));
+    let omega = weight(z0);
     Moments {
         count: n,
         sums: sums.map(|s| s * omega),

@@ -7,10 +7,10 @@
 
 use super::agglomerate::Patch;
 use super::contact_distance::ContactDistance;
-use super::live::{Block, FitReport, MIN_BLOCK_PIXELS};
+use super::live::{Blocks, FitReport, MIN_BLOCK_PIXELS};
 use super::moments::{Fit, Moments, bits_per_point};
 use super::motion::{self, Motion, Observation};
-use crate::contact_map::assign::Palette;
+use super::sphere::Sphere;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::Rays;
 use glam::DVec3;
@@ -29,6 +29,7 @@ pub(super) const TIGHT: f64 = 0.3;
 pub(super) struct Workspace {
     sums: Vec<Moments>,
     observations: Vec<Observation>,
+    spheres: Vec<Option<Sphere>>,
     pub(super) used: Vec<u32>,
 }
 
@@ -37,6 +38,7 @@ impl Workspace {
     pub(super) fn with_room(spheres: usize) -> Self {
         Self {
             sums: Vec::with_capacity(spheres),
+            spheres: Vec::with_capacity(spheres),
             used: Vec::with_capacity(spheres),
             ..Self::default()
         }
@@ -45,8 +47,7 @@ impl Workspace {
 
 pub(super) fn start(
     rays: &Rays,
-    blocks: &mut [Block],
-    before: &[Palette],
+    blocks: &mut Blocks,
     slots: &mut [Option<Patch>],
     distance: &ContactDistance,
     work: &mut Workspace,
@@ -55,13 +56,13 @@ pub(super) fn start(
     if slots.is_empty() {
         return Motion::default();
     }
-    let motion = follow(blocks, before, slots, distance, work);
-    choose(rays, blocks, before, slots, LOOSE);
+    let motion = follow(rays, blocks, slots, distance, work);
+    choose(rays, blocks, slots, LOOSE);
     refit(blocks, slots, work, report);
-    choose(rays, blocks, before, slots, TIGHT);
-    for block in blocks.iter() {
-        if block.sphere != NO_SPHERE {
-            report.warm_pixels += block.valid.count_ones();
+    choose(rays, blocks, slots, TIGHT);
+    for (spheres, valid) in blocks.spheres.iter().zip(&blocks.valid) {
+        if spheres[0] != NO_SPHERE {
+            report.warm_pixels += valid.count_ones();
         }
     }
     motion
@@ -70,19 +71,26 @@ pub(super) fn start(
 /// Estimates the camera's motion and carries the spheres along where that explains the blocks
 /// better by more bits than the motion costs.
 fn follow(
-    blocks: &[Block],
-    before: &[Palette],
+    rays: &Rays,
+    blocks: &Blocks,
     slots: &mut [Option<Patch>],
     distance: &ContactDistance,
     work: &mut Workspace,
 ) -> Motion {
+    // one block of four: a motion has six numbers
+    let (columns, rows) = (rays.block_columns, rays.block_rows);
+    let chosen = || {
+        (0..rows)
+            .step_by(2)
+            .flat_map(|y| (0..columns).step_by(2).map(move |x| y * columns + x))
+    };
     work.observations.clear();
-    for (block, palette) in blocks.iter().zip(before) {
+    for k in chosen() {
         if let (Some(Some(patch)), true) = (
-            slots.get(usize::from(palette[0])),
-            block.valid.count_ones() >= 48,
+            slots.get(usize::from(blocks.before[k][0])),
+            blocks.valid[k].count_ones() >= 48,
         ) {
-            let (w, u, v) = block.moments.mean();
+            let (w, u, v) = blocks.moments[k].mean();
             let z = 1.0 / w;
             work.observations.push(Observation {
                 point: DVec3::new(u * z, v * z, z),
@@ -95,53 +103,53 @@ fn follow(
         return Motion::default();
     };
     let mover = motion.mover();
-    let price = |moved: bool| -> f64 {
-        let cost = |(block, palette): (&Block, &Palette)| {
-            let sphere = slots.get(usize::from(palette[0]))?.as_ref()?.fit.sphere;
-            let sphere = if moved {
-                mover.sphere(&sphere)?
-            } else {
-                sphere
-            };
-            Some(block.moments.count * bits_per_point(block.moments.misfit(&sphere)).min(8.0))
-        };
-        blocks.iter().zip(before).filter_map(cost).sum()
-    };
-    if price(true) + MOTION_BITS >= price(false) {
+    let spheres = slots.iter().map(|s| s.map(|p| p.fit.sphere));
+    work.spheres.clear();
+    work.spheres.extend(spheres.clone());
+    let stays = price(blocks, chosen(), &work.spheres);
+    work.spheres.clear();
+    work.spheres
+        .extend(spheres.map(|s| s.and_then(|s| mover.sphere(&s))));
+    // one block of four is asked
+    if 4.0 * (stays - price(blocks, chosen(), &work.spheres)) <= MOTION_BITS {
         return Motion::default();
     }
-    for slot in slots {
-        if let Some(patch) = slot {
-            match mover.sphere(&patch.fit.sphere) {
-                Some(moved) => patch.fit.sphere = moved,
-                None => *slot = None,
-            }
+    for (slot, moved) in slots.iter_mut().zip(&work.spheres) {
+        match (slot.as_mut(), moved) {
+            (Some(patch), Some(moved)) => patch.fit.sphere = *moved,
+            _ => *slot = None,
         }
     }
     motion
 }
 
+/// Bits of some blocks on the spheres that held them.
+fn price(blocks: &Blocks, chosen: impl Iterator<Item = usize>, spheres: &[Option<Sphere>]) -> f64 {
+    chosen
+        .filter_map(|k| {
+            let sphere = spheres.get(usize::from(blocks.before[k][0]))?.as_ref()?;
+            let sums = &blocks.moments[k];
+            Some(sums.count * bits_per_point(sums.misfit(sphere)).min(8.0))
+        })
+        .sum()
+}
+
 /// Gives each block the best of the last frame's spheres around it, where it is good enough.
-fn choose(
-    rays: &Rays,
-    blocks: &mut [Block],
-    before: &[Palette],
-    slots: &[Option<Patch>],
-    limit: f64,
-) {
+fn choose(rays: &Rays, blocks: &mut Blocks, slots: &[Option<Patch>], limit: f64) {
     let columns = rays.block_columns;
-    for k in 0..blocks.len() {
-        let block = &blocks[k];
-        if block.valid.count_ones() < MIN_BLOCK_PIXELS {
+    let before = &blocks.before;
+    for k in 0..before.len() {
+        if blocks.valid[k].count_ones() < MIN_BLOCK_PIXELS {
             continue;
         }
-        let own = if block.sphere == NO_SPHERE {
+        let own = if blocks.spheres[k][0] == NO_SPHERE {
             before[k][0]
         } else {
-            block.sphere
+            blocks.spheres[k][0]
         };
+        let sums = &blocks.moments[k];
         let misfit = |id: u16| match slots.get(usize::from(id)) {
-            Some(Some(patch)) => block.moments.misfit(&patch.fit.sphere),
+            Some(Some(patch)) => sums.misfit(&patch.fit.sphere),
             _ => f64::INFINITY,
         };
         let mut best = (misfit(own), own);
@@ -167,22 +175,22 @@ fn choose(
                 }
             }
         }
-        blocks[k].sphere = if best.0 <= limit { best.1 } else { NO_SPHERE };
+        blocks.spheres[k][0] = if best.0 <= limit { best.1 } else { NO_SPHERE };
     }
 }
 
 /// Refits every sphere from its blocks, or keeps it.
 fn refit(
-    blocks: &[Block],
+    blocks: &Blocks,
     slots: &mut [Option<Patch>],
     work: &mut Workspace,
     report: &mut FitReport,
 ) {
     work.sums.clear();
     work.sums.resize(slots.len(), Moments::default());
-    for block in blocks {
-        if let Some(sum) = work.sums.get_mut(usize::from(block.sphere)) {
-            sum.add(&block.moments);
+    for (spheres, moments) in blocks.spheres.iter().zip(&blocks.moments) {
+        if let Some(sum) = work.sums.get_mut(usize::from(spheres[0])) {
+            sum.add(moments);
         }
     }
     for (slot, sums) in slots.iter_mut().zip(&work.sums) {
