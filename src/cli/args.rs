@@ -41,7 +41,7 @@ pub struct Arguments {
 pub enum Command {
     /// List the cameras of this machine.
     Devices(DevicesArgs),
-    /// Model recorded depth frames: a folder of EXR or PNG files, a TUM folder, a .mcap file.
+    /// Model recorded depth frames: a folder of images, a recording, another program's file.
     Replay(ReplayArgs),
     /// Play a recording in the terminal, each sphere in its colour.
     Play(PlayArgs),
@@ -268,7 +268,8 @@ pub struct RangeArgs {
 /// `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Folder, file, printf pattern (depth_%06d.png), or recording.
+    /// Folder, file, printf pattern (depth_%06d.png), recording, or another program's file:
+    /// RealSense or ROS .bag, ROS 2 .mcap, Azure Kinect .mkv, ScanNet .sens.
     pub input: PathBuf,
     #[command(flatten)]
     pub range: RangeArgs,
@@ -284,6 +285,9 @@ pub struct ReplayArgs {
     /// What the values of EXR files measure.
     #[arg(long, value_enum, default_value_t = ExrDepthArg::Planar)]
     pub exr_depth: ExrDepthArg,
+    /// Topic of the depth images in a ROS bag or MCAP file that has several.
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Option<String>,
     /// Carry the colour images beside the depth along, bytes untouched, as a channel of their own.
     #[arg(long)]
     pub color: bool,

@@ -43,6 +43,8 @@ pub(super) struct Layout {
     pub(super) sidecar: Option<Calibration>,
     /// Metres per depth integer by the layout's own convention.
     pub(super) unit_m: Option<f64>,
+    /// Integers that mean "no measurement" by the layout's own convention.
+    pub(super) invalid: &'static [u16],
     /// Intrinsics to suggest when there are none.
     pub(super) suggestion: &'static str,
     pub(super) name: String,
@@ -142,6 +144,7 @@ fn numbered(
         sidecar: camera_json::find(folder)?
             .map_or_else(|| camera_json::find(root), |c| Ok(Some(c)))?,
         unit_m: None,
+        invalid: &[0],
         suggestion: "",
         name: name_of(root),
     })

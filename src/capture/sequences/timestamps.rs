@@ -38,7 +38,7 @@ pub(super) fn nanoseconds(text: &str) -> Option<i64> {
 
 /// Frame times out of a recording's clock: Unix times give the wall clock too, and a device
 /// clock that starts at `zero_ns`.
-pub(super) fn frame_time(ns: i64, zero_ns: i64) -> FrameTime {
+pub(in crate::capture) fn frame_time(ns: i64, zero_ns: i64) -> FrameTime {
     if zero_ns >= EPOCH_FROM_NS {
         FrameTime {
             device_ns: ns.saturating_sub(zero_ns),
