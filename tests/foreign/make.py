@@ -273,7 +273,7 @@ def video(path, frames, size):
             out.mux(packet)
     # FFmpeg clears the FourCC of raw video in the BITMAPINFOHEADER; it reads the files that have it
     data = path.read_bytes()
-    at = data.index(struct.pack("<IiiH", 40, *size, 1)) + 16
+    at = data.index(struct.pack("<Ii", 40, size[0])) + 16
     path.write_bytes(data[:at] + b"b16g" + data[at + 4:])
     check_video(path, frames)
 

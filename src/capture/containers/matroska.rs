@@ -24,7 +24,6 @@ const CODEC: &[u8; 4] = b"b16g";
 
 /// Element numbers.
 mod id {
-    pub(super) const EBML: u32 = 0x1a45_dfa3;
     pub(super) const SEGMENT: u32 = 0x1853_8067;
     pub(super) const INFO: u32 = 0x1549_a966;
     pub(super) const TIMESTAMP_SCALE: u32 = 0x2a_d7b1;
@@ -100,14 +99,22 @@ impl MatroskaImages {
         pixels.map_err(|what| damaged(path, what))?;
         if track.encoded {
             let remedy = "remux it: mkvmerge --compression -1:none";
-            return Err(input(path, "the depth track's blocks are compressed", remedy));
+            return Err(input(
+                path,
+                "the depth track's blocks are compressed",
+                remedy,
+            ));
         }
         let mut about = About {
             // the sensor's integers are millimetres
             unit_m: Some(0.001),
             ..About::default()
         };
-        about.said.name = Some(format!("{} {}", kinect::CAMERA, track.name).trim().to_owned());
+        about.said.name = Some(
+            format!("{} {}", kinect::CAMERA, track.name)
+                .trim()
+                .to_owned(),
+        );
         if let Some(bytes) = &description.calibration {
             let size = (track.width as u32, track.height as u32);
             match kinect::intrinsics(bytes, size) {
@@ -149,7 +156,10 @@ impl MatroskaImages {
         }
         let needed = self.track.width * self.track.height * 2;
         if data.len() as u64 != needed {
-            return Err(format!("an image of {} bytes, but {needed} are needed", data.len()));
+            return Err(format!(
+                "an image of {} bytes, but {needed} are needed",
+                data.len()
+            ));
         }
         let (pairs, _) = data.as_chunks::<2>();
         image.integers.clear();
@@ -213,30 +223,40 @@ impl Description {
         };
         let mut bytes = Vec::new();
         loop {
-            let (element, body) = match elements.next() {
-                Ok(Some(found)) => found,
-                Ok(None) => break,
+            let step = description.step(elements, path, &mut bytes);
+            match step {
+                Ok(true) => {}
+                Ok(false) => break,
                 // a cut file is met again where its images end
                 Err(_) if !description.tracks.is_empty() => break,
                 Err(error) => return Err(error),
-            };
-            match element {
-                id::SEGMENT => {}
-                id::INFO | id::TRACKS | id::TAGS | id::ATTACHMENTS => {
-                    elements.read(body, MAX_DESCRIPTION, &mut bytes)?;
-                    let parsed = description.take(element, &bytes);
-                    parsed.ok_or_else(|| damaged(path, "a damaged description of the tracks"))?;
-                }
-                id::CLUSTER if body == Body::Unknown => break,
-                _ if element == id::EBML || body != Body::Unknown => {
-                    if elements.skip(body).is_err() && !description.tracks.is_empty() {
-                        break;
-                    }
-                }
-                _ => break,
             }
         }
         Ok(description)
+    }
+
+    /// Reads the next element outside the clusters; false at the end, or where clusters of unknown
+    /// length hide it.
+    fn step(
+        &mut self,
+        elements: &mut Elements,
+        path: &Path,
+        bytes: &mut Vec<u8>,
+    ) -> Result<bool, CaptureError> {
+        let Some((element, body)) = elements.next()? else {
+            return Ok(false);
+        };
+        match element {
+            id::SEGMENT => {}
+            id::INFO | id::TRACKS | id::TAGS | id::ATTACHMENTS => {
+                elements.read(body, MAX_DESCRIPTION, bytes)?;
+                let parsed = self.take(element, bytes);
+                parsed.ok_or_else(|| damaged(path, "a damaged description of the tracks"))?;
+            }
+            _ if body == Body::Unknown => return Ok(false),
+            _ => elements.skip(body)?,
+        }
+        Ok(true)
     }
 
     /// Keeps what an element says; `None` where it is damaged.
@@ -324,15 +344,23 @@ impl Description {
     fn depth_track(&self, path: &Path) -> Result<Track, CaptureError> {
         let tagged: Option<u64> = self.tag(kinect::DEPTH_TAG).and_then(|uid| uid.parse().ok());
         let by_tag = self.tracks.iter().find(|track| Some(track.uid) == tagged);
-        let by_name = || self.tracks.iter().find(|track| track.name == kinect::DEPTH_NAME);
+        let by_name = || {
+            self.tracks
+                .iter()
+                .find(|track| track.name == kinect::DEPTH_NAME)
+        };
         let only = || self.tracks.first().filter(|_| self.tracks.len() == 1);
-        by_tag.or_else(by_name).or_else(only).cloned().ok_or_else(|| {
-            let what = format!(
-                "no depth track: {} tracks of b16g, others: {}",
-                self.tracks.len(),
-                self.other_codecs.join(", ")
-            );
-            input(path, what, "give a recording of an Azure Kinect with depth")
-        })
+        by_tag
+            .or_else(by_name)
+            .or_else(only)
+            .cloned()
+            .ok_or_else(|| {
+                let what = format!(
+                    "no depth track: {} tracks of b16g, others: {}",
+                    self.tracks.len(),
+                    self.other_codecs.join(", ")
+                );
+                input(path, what, "give a recording of an Azure Kinect with depth")
+            })
     }
 }

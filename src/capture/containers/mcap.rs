@@ -1,13 +1,14 @@
 //! MCAP files as a log of messages: <https://mcap.dev/spec>.
 //!
-//! Records are walked here, so that lengths are checked before memory is taken; their fields are
-//! parsed by the `mcap` crate. Chunks may be plain, LZ4 or Zstandard; checksums are verified.
+//! Chunks may be plain, LZ4 or Zstandard; checksums are verified. Records are walked and parsed
+//! here: the `mcap` crate takes memory for a text of any announced length before it looks whether
+//! the text is there.
 
-use super::ros::{Channel, Kind, Layout, Message, MessageLog};
+use super::ros::{Channel, Fields, Kind, Layout, Message, MessageLog};
 use super::{MAX_RECORD, damaged};
 use crate::capture::CaptureError;
 use crate::capture::sequences::input;
-use ::mcap::records::{ChunkHeader, MessageHeader, Record, op};
+use ::mcap::records::op;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -35,7 +36,84 @@ pub(super) struct McapLog {
 }
 
 /// A message's header and where its data lie in the chunk.
-type Place = (MessageHeader, Range<usize>);
+struct Place {
+    channel: u16,
+    sequence: u32,
+    log_ns: u64,
+    publish_ns: u64,
+    data: Range<usize>,
+}
+
+/// A channel as the file describes it.
+struct Described {
+    id: u16,
+    schema: u16,
+    topic: String,
+    encoding: String,
+    metadata: BTreeMap<String, String>,
+}
+
+/// A chunk's header and its records as they are packed.
+struct Packed<'a> {
+    size: u64,
+    crc: u32,
+    compression: &'a str,
+    data: &'a [u8],
+}
+
+/// The fields of a record: packed, little endian.
+fn fields(body: &[u8]) -> Option<Fields<'_>> {
+    Fields::new(body, Layout::Ros1)
+}
+
+/// A schema's number and name.
+fn schema(body: &[u8]) -> Option<(u16, &str)> {
+    let mut fields = fields(body)?;
+    Some((fields.u16()?, fields.text()?))
+}
+
+fn channel(body: &[u8]) -> Option<Described> {
+    let mut from = fields(body)?;
+    let (id, schema) = (from.u16()?, from.u16()?);
+    let (topic, encoding) = (from.text()?.to_owned(), from.text()?.to_owned());
+    let mut entries = fields(from.bytes()?)?;
+    let mut metadata = BTreeMap::new();
+    while !entries.rest().is_empty() {
+        metadata.insert(entries.text()?.to_owned(), entries.text()?.to_owned());
+    }
+    Some(Described {
+        id,
+        schema,
+        topic,
+        encoding,
+        metadata,
+    })
+}
+
+/// A message in the bytes of a record that ends at `end`.
+fn message(body: &[u8], end: usize) -> Option<Place> {
+    let mut fields = fields(body)?;
+    Some(Place {
+        channel: fields.u16()?,
+        sequence: fields.u32()?,
+        log_ns: fields.u64()?,
+        publish_ns: fields.u64()?,
+        data: end - fields.rest().len()..end,
+    })
+}
+
+fn chunk(body: &[u8]) -> Option<Packed<'_>> {
+    let mut fields = fields(body)?;
+    let _times = (fields.u64()?, fields.u64()?);
+    let (size, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+    let length = usize::try_from(fields.u64()?).ok()?;
+    Some(Packed {
+        size,
+        crc,
+        compression,
+        data: fields.rest().get(..length)?,
+    })
+}
 
 impl McapLog {
     /// Opens a file that begins with MCAP's magic.
@@ -134,11 +212,9 @@ impl McapLog {
     /// Decompresses the chunk in `body` into `chunk`.
     fn unpack(&mut self) -> Result<(), CaptureError> {
         self.chunk.clear();
-        let unpacked = match ::mcap::parse_record(op::CHUNK, &self.body) {
-            Ok(Record::Chunk { header, data }) => unpack(&header, &data, &mut self.chunk),
-            Ok(_) => Ok(()),
-            Err(error) => Err(error.to_string()),
-        };
+        let unpacked = chunk(&self.body)
+            .ok_or_else(|| "its header ends too early".to_owned())
+            .and_then(|packed| unpack(&packed, &mut self.chunk));
         unpacked.map_err(|what| {
             self.chunk.clear();
             self.damaged(format_args!("a damaged chunk: {what}"))
@@ -159,28 +235,28 @@ impl McapLog {
             };
             let end = self.chunk_at + PREFIX + body.len();
             self.chunk_at = end;
-            let parsed = match code {
-                op::SCHEMA | op::CHANNEL | op::MESSAGE => ::mcap::parse_record(code, body),
-                _ => continue,
+            let known = match code {
+                op::SCHEMA => schema(body).map(|(id, name)| {
+                    if self.schemas.len() < MOST_CHANNELS {
+                        self.schemas.insert(id, Kind::named(name));
+                    }
+                }),
+                op::CHANNEL => channel(body).map(|described| self.add(described)),
+                op::MESSAGE => match message(body, end) {
+                    Some(place) => return Ok(Some(place)),
+                    None => None,
+                },
+                _ => Some(()),
             };
-            match parsed.map_err(|error| error.to_string())? {
-                Record::Schema { header, .. } if self.schemas.len() < MOST_CHANNELS => {
-                    self.schemas.insert(header.id, Kind::named(&header.name));
-                }
-                Record::Channel(channel) => self.add(channel),
-                Record::Message { header, data } => {
-                    return Ok(Some((header, end - data.len()..end)));
-                }
-                _ => {}
-            }
+            known.ok_or_else(|| format!("a damaged record of type {code}"))?;
         }
         Ok(None)
     }
 
     /// Keeps a channel whose messages are read here.
-    fn add(&mut self, channel: ::mcap::records::Channel) {
-        let kind = self.schemas.get(&channel.schema_id).copied();
-        let layout = match channel.message_encoding.as_str() {
+    fn add(&mut self, channel: Described) {
+        let kind = self.schemas.get(&channel.schema).copied();
+        let layout = match channel.encoding.as_str() {
             "cdr" => Layout::Cdr,
             "ros1" => Layout::Ros1,
             _ => return,
@@ -199,11 +275,9 @@ impl McapLog {
 
 impl MessageLog for McapLog {
     fn next(&mut self) -> Result<Option<Message<'_>>, CaptureError> {
-        let (header, place) = loop {
+        let place = loop {
             match self.step() {
-                Ok(Some((header, place))) if self.channels.contains_key(&header.channel_id) => {
-                    break (header, place);
-                }
+                Ok(Some(place)) if self.channels.contains_key(&place.channel) => break place,
                 Ok(Some(_)) => {}
                 Ok(None) => {
                     if !self.load()? {
@@ -213,29 +287,29 @@ impl MessageLog for McapLog {
                 Err(what) => return Err(self.damaged(what)),
             }
         };
-        let channel = self.channels.get(&header.channel_id);
+        let channel = self.channels.get(&place.channel);
         Ok(channel.map(|channel| Message {
             channel,
-            sequence: Some(header.sequence),
-            log_ns: header.log_time,
-            publish_ns: header.publish_time,
-            data: &self.chunk[place],
+            sequence: Some(place.sequence),
+            log_ns: place.log_ns,
+            publish_ns: place.publish_ns,
+            data: &self.chunk[place.data],
         }))
     }
 }
 
-/// Decompresses `data` into `out` (empty) and checks length and checksum.
-fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
-    let size = header.uncompressed_size;
+/// Decompresses into `out` (empty) and checks length and checksum.
+fn unpack(packed: &Packed<'_>, out: &mut Vec<u8>) -> Result<(), String> {
+    let size = packed.size;
     if size > MAX_RECORD {
         return Err(format!("{size} bytes unpacked, the limit is {MAX_RECORD}"));
     }
-    super::open::unpack(&header.compression, data, size, out)?;
+    super::open::unpack(packed.compression, packed.data, size, out)?;
     if out.len() as u64 != size {
-        return Err(format!("{size} bytes are announced, {} came out", out.len()));
+        let got = out.len();
+        return Err(format!("{size} bytes are announced, {got} came out"));
     }
-    let crc = crc32fast::hash(out);
-    if header.uncompressed_crc != 0 && header.uncompressed_crc != crc {
+    if packed.crc != 0 && packed.crc != crc32fast::hash(out) {
         return Err("its checksum does not match".to_owned());
     }
     Ok(())
@@ -250,10 +324,9 @@ pub(super) fn first_channel_is(path: &Path, topic: &str, encoding: &str) -> Opti
         while let Some((prefix, rest)) = log.chunk.get(at..)?.split_at_checked(PREFIX) {
             let length = u64::from_le_bytes(prefix[1..].try_into().ok()?);
             let body = rest.get(..usize::try_from(length).ok()?)?;
-            if prefix[0] == op::CHANNEL
-                && let Ok(Record::Channel(channel)) = ::mcap::parse_record(op::CHANNEL, body)
-            {
-                return Some(channel.topic == topic && channel.message_encoding == encoding);
+            if prefix[0] == op::CHANNEL {
+                let first = channel(body)?;
+                return Some(first.topic == topic && first.encoding == encoding);
             }
             at += PREFIX + body.len();
         }

@@ -118,6 +118,3 @@ pub(super) fn open(
 fn damaged(path: &Path, what: impl Into<String>) -> CaptureError {
     input(path, what, REPLACE)
 }
-
-#[cfg(test)]
-mod tests;

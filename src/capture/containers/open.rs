@@ -79,7 +79,7 @@ pub(super) fn container(
         Some(Format::Matroska) => Box::new(matroska::MatroskaImages::open(path)?),
         Some(Format::Sens) => Box::new(sens::SensImages::open(path)?),
         None => {
-            let what = "no ROS bag, MCAP, Matroska or .sens file";
+            let what = "it is no ROS bag, MCAP, Matroska or .sens file";
             return Err(input(path, what, "give one of these"));
         }
     })

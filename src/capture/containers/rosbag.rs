@@ -100,7 +100,11 @@ impl BagLog {
         Ok(length)
     }
 
-    fn read(&mut self, length: u64, which: fn(&mut Self) -> &mut Vec<u8>) -> Result<(), CaptureError> {
+    fn read(
+        &mut self,
+        length: u64,
+        which: fn(&mut Self) -> &mut Vec<u8>,
+    ) -> Result<(), CaptureError> {
         let mut bytes = std::mem::take(which(self));
         bytes.clear();
         bytes.resize(length as usize, 0);
@@ -245,7 +249,9 @@ fn record(bytes: &[u8], at: usize) -> Option<(Range<usize>, Range<usize>)> {
     let part = |at: usize| {
         let start = at.checked_add(4)?;
         let length = number(bytes.get(at..start)?)? as usize;
-        let end = start.checked_add(length).filter(|end| *end <= bytes.len())?;
+        let end = start
+            .checked_add(length)
+            .filter(|end| *end <= bytes.len())?;
         Some(start..end)
     };
     let header = part(at)?;

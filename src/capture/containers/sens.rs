@@ -65,7 +65,11 @@ impl SensImages {
         let version = self.u32()?;
         if version != VERSION {
             let what = format!("version {version}, but {VERSION} is read");
-            return Err(input(&self.path, what, "check that it is a ScanNet .sens file"));
+            return Err(input(
+                &self.path,
+                what,
+                "check that it is a ScanNet .sens file",
+            ));
         }
         let length = self.u64()?;
         if length > MAX_NAME {
@@ -73,7 +77,12 @@ impl SensImages {
         }
         let mut name = vec![0; length as usize];
         self.read(&mut name)?;
-        let [_, _, depth, _] = [self.matrix()?, self.matrix()?, self.matrix()?, self.matrix()?];
+        let [_, _, depth, _] = [
+            self.matrix()?,
+            self.matrix()?,
+            self.matrix()?,
+            self.matrix()?,
+        ];
         let _color_compression = self.u32()?;
         let depth_compression = self.u32()?;
         let _color_size = (self.u32()?, self.u32()?);
@@ -192,7 +201,13 @@ impl Container for SensImages {
         image.number = Some(self.position);
         self.position += 1;
         let (path, pixels) = (&self.path, self.pixels);
-        unpack_image(path, self.compression, &self.packed, pixels, &mut self.scratch)?;
+        unpack_image(
+            path,
+            self.compression,
+            &self.packed,
+            pixels,
+            &mut self.scratch,
+        )?;
         let (pairs, _) = self.scratch.as_chunks::<2>();
         image.integers.clear();
         image
@@ -200,7 +215,10 @@ impl Container for SensImages {
             .extend(pairs.iter().map(|pair| u16::from_le_bytes(*pair)));
         (image.width, image.height, image.stored) = (self.width, self.height, Stored::Integers);
         // recordings without times have zeros
-        image.time = match i64::try_from(microseconds).ok().and_then(|us| us.checked_mul(1000)) {
+        image.time = match i64::try_from(microseconds)
+            .ok()
+            .and_then(|us| us.checked_mul(1000))
+        {
             Some(ns) if ns > 0 => Stamp::Clock(ns),
             _ => Stamp::Unknown,
         };

@@ -192,7 +192,11 @@ impl FrameSource for ContainerSource {
 impl Drop for ContainerSource {
     fn drop(&mut self) {
         if self.refused.total() > 0 {
-            tracing::debug!("{}: samples without a depth: {:?}", self.path.display(), self.refused);
+            tracing::debug!(
+                "{}: samples without a depth: {:?}",
+                self.path.display(),
+                self.refused
+            );
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::numbering::{self, Pattern, time_name};
 use super::timestamps::{Timestamps, frame_time};
-use super::{ColorFile, FrameFile, camera_json, input, tum};
+use super::{ColorFile, FrameFile, camera_json, input, seven_scenes, tum};
 use crate::capture::CaptureError;
 use crate::intrinsics::Calibration;
 use std::collections::BTreeMap;
@@ -58,6 +58,9 @@ pub(super) fn find(input_path: &Path) -> Result<Layout, CaptureError> {
     if input_path.is_dir() {
         if input_path.join(tum::DEPTH_LIST).is_file() {
             return tum::find(input_path);
+        }
+        if let Some(layout) = seven_scenes::find(input_path, &files_in(input_path)?)? {
+            return Ok(layout);
         }
         let inner = input_path.join("depth");
         let folder = if inner.is_dir() {

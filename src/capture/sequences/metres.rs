@@ -43,7 +43,12 @@ pub(in crate::capture) struct Planar {
 
 impl Planar {
     /// For images of `width`×`height` pixels; `O(pixels)` once for ray depth.
-    pub(in crate::capture) fn new(meaning: ExrDepth, k: &Intrinsics, width: u32, height: u32) -> Self {
+    pub(in crate::capture) fn new(
+        meaning: ExrDepth,
+        k: &Intrinsics,
+        width: u32,
+        height: u32,
+    ) -> Self {
         let per_ray = match meaning {
             ExrDepth::Ray => (0..height)
                 .flat_map(|y| (0..width).map(move |x| (f64::from(x), f64::from(y))))
@@ -89,7 +94,12 @@ impl Planar {
     /// Depth integers of `values` (row-major), rounded to the nearest unit; refused samples
     /// become 0. Values that are whole multiples of `unit_m` come back exactly: an f32 is off by
     /// at most 65535·2⁻²⁴ = 0.004 units.
-    pub(in crate::capture) fn quantise(&self, values: &[f32], unit_m: f64, out: &mut Vec<u16>) -> Refused {
+    pub(in crate::capture) fn quantise(
+        &self,
+        values: &[f32],
+        unit_m: f64,
+        out: &mut Vec<u16>,
+    ) -> Refused {
         let mut refused = Refused::default();
         let units_per_m = 1.0 / unit_m;
         out.clear();

@@ -7,6 +7,7 @@
 //! | input | what is read |
 //! |---|---|
 //! | folder with `depth.txt` | TUM RGB-D: 16-bit PNG, 5000 units/m, colour by nearest time |
+//! | folder with `frame-000000.depth.png` | 7-Scenes: 16-bit PNG, millimetres, 65535 invalid |
 //! | folder with `depth/` | `depth/*.png` or `depth/*.exr`, `colour/`, `camera.json`, `timestamps.txt` |
 //! | folder of images | `*.exr` or 16-bit `*.png`, in numeric order |
 //! | `depth_%06d.exr` | the files of that name, in numeric order |
@@ -21,6 +22,7 @@ mod layout;
 pub(super) mod metres;
 mod numbering;
 pub mod png;
+mod seven_scenes;
 mod source;
 pub(super) mod timestamps;
 mod tum;
@@ -142,7 +144,11 @@ fn check(options: &SequenceOptions) -> Result<(), CaptureError> {
 }
 
 /// An input error without a frame number.
-pub(super) fn input(path: &Path, what: impl Into<String>, remedy: impl Into<String>) -> CaptureError {
+pub(super) fn input(
+    path: &Path,
+    what: impl Into<String>,
+    remedy: impl Into<String>,
+) -> CaptureError {
     CaptureError::Input {
         path: path.to_owned(),
         frame: None,

@@ -103,7 +103,8 @@ impl Elements {
     ) -> Result<(), CaptureError> {
         let (length, left) = (body.known()?, self.length - self.at);
         if length > left || length > most {
-            let what = format!("an element of {length} bytes, {left} are left, the limit is {most}");
+            let what =
+                format!("an element of {length} bytes, {left} are left, the limit is {most}");
             let error = self.damaged(what);
             self.at = self.length;
             return Err(error);
@@ -122,7 +123,7 @@ impl Elements {
         let length = body.known()?;
         let step = i64::try_from(length).ok();
         let step = step.filter(|_| length <= self.length - self.at);
-        if !step.is_some_and(|step| self.file.seek_relative(step).is_ok()) {
+        if step.is_none_or(|step| self.file.seek_relative(step).is_err()) {
             return Err(self.cut());
         }
         self.at += length;
@@ -133,7 +134,9 @@ impl Elements {
 /// The value of a number's bytes, with or without the bit that ends its leading zeros; true where
 /// all other bits are set.
 fn value(bytes: &[u8], with_marker: bool) -> (u64, bool) {
-    let whole = bytes.iter().fold(0, |value, byte| value << 8 | u64::from(*byte));
+    let whole = bytes
+        .iter()
+        .fold(0, |value, byte| value << 8 | u64::from(*byte));
     let marker = 1u64 << (7 * bytes.len());
     let value = whole & (marker - 1);
     let unknown = value == marker - 1;
@@ -169,7 +172,9 @@ pub(super) fn children(mut bytes: &[u8]) -> impl Iterator<Item = Option<(u32, &[
 /// A big-endian integer of up to 8 bytes.
 pub(super) fn unsigned(bytes: &[u8]) -> u64 {
     let bytes = &bytes[..bytes.len().min(8)];
-    bytes.iter().fold(0, |value, byte| value << 8 | u64::from(*byte))
+    bytes
+        .iter()
+        .fold(0, |value, byte| value << 8 | u64::from(*byte))
 }
 
 pub(super) fn signed16(bytes: [u8; 2]) -> i64 {

@@ -18,17 +18,41 @@ pub(super) const DEPTH_TAG: &str = "K4A_DEPTH_TRACK";
 /// Tag that holds the device's time of the file's zero, ns.
 pub(super) const START_TAG: &str = "K4A_START_OFFSET_NS";
 
-/// Image size, side of the whole sensor at that resolution, first column and row of the window.
-const MODES: [((u32, u32), f64, (f64, f64)); 4] = [
-    ((640, 576), 1024.0, (192.0, 180.0)),
-    ((320, 288), 512.0, (96.0, 90.0)),
-    ((1024, 1024), 1024.0, (0.0, 0.0)),
-    ((512, 512), 512.0, (0.0, 0.0)),
+/// A depth mode.
+struct Mode {
+    size: (u32, u32),
+    /// Side of the whole sensor at the mode's resolution, pixels.
+    side: f64,
+    /// First column and row of the window.
+    from: (f64, f64),
+}
+
+const MODES: [Mode; 4] = [
+    Mode {
+        size: (640, 576),
+        side: 1024.0,
+        from: (192.0, 180.0),
+    },
+    Mode {
+        size: (320, 288),
+        side: 512.0,
+        from: (96.0, 90.0),
+    },
+    Mode {
+        size: (1024, 1024),
+        side: 1024.0,
+        from: (0.0, 0.0),
+    },
+    Mode {
+        size: (512, 512),
+        side: 512.0,
+        from: (0.0, 0.0),
+    },
 ];
 
 /// The pinhole of a depth image of this size; says why there is none.
 pub(super) fn intrinsics(json: &[u8], size: (u32, u32)) -> Result<Intrinsics, String> {
-    let Some((_, side, (x0, y0))) = MODES.iter().find(|(mode, ..)| *mode == size) else {
+    let Some(mode) = MODES.iter().find(|mode| mode.size == size) else {
         return Err(format!(
             "{}x{} is no depth mode of the camera (640x576, 320x288, 1024x1024, 512x512)",
             size.0, size.1
@@ -51,10 +75,10 @@ pub(super) fn intrinsics(json: &[u8], size: (u32, u32)) -> Result<Intrinsics, St
     let all = || Some([parameter(0)?, parameter(1)?, parameter(2)?, parameter(3)?]);
     let [cx, cy, fx, fy] = all().ok_or("its depth camera has no parameters")?;
     let intrinsics = Intrinsics {
-        fx: fx * side,
-        fy: fy * side,
-        cx: cx * side - x0 - 0.5,
-        cy: cy * side - y0 - 0.5,
+        fx: fx * mode.side,
+        fy: fy * mode.side,
+        cx: cx * mode.side - mode.from.0 - 0.5,
+        cy: cy * mode.side - mode.from.1 - 0.5,
     };
     if !(intrinsics.fx > 0.0 && intrinsics.fy > 0.0) {
         return Err(format!("focal lengths {fx} and {fy} must be above 0"));
@@ -77,7 +101,10 @@ mod tests {
         let narrow = of((640, 576));
         // the sensor's middle is column 511.5; the window begins at 192
         assert!((narrow.cx - (511.5 - 192.0)).abs() < 1e-9, "{narrow:?}");
-        assert!((narrow.cy - (0.503 * 1024.0 - 180.5)).abs() < 1e-9, "{narrow:?}");
+        assert!(
+            (narrow.cy - (0.503 * 1024.0 - 180.5)).abs() < 1e-9,
+            "{narrow:?}"
+        );
         assert!((narrow.fx - 504.32).abs() < 1e-9, "{narrow:?}");
         // the binned mode is the same view at half the size
         let binned = of((320, 288));

@@ -13,7 +13,7 @@ pub(in crate::capture::containers) enum Layout {
 
 /// Reads field after field; `None` once the bytes are over or are no such field.
 #[derive(Clone, Debug)]
-pub(super) struct Fields<'a> {
+pub(in crate::capture::containers) struct Fields<'a> {
     bytes: &'a [u8],
     at: usize,
     layout: Layout,
@@ -23,7 +23,7 @@ pub(super) struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    pub(super) fn new(bytes: &'a [u8], layout: Layout) -> Option<Self> {
+    pub(in crate::capture::containers) fn new(bytes: &'a [u8], layout: Layout) -> Option<Self> {
         let (bytes, big_endian, align) = match layout {
             Layout::Ros1 => (bytes, false, 1),
             Layout::Cdr => {
@@ -46,14 +46,18 @@ impl<'a> Fields<'a> {
         })
     }
 
-    pub(super) fn layout(&self) -> Layout {
+    pub(in crate::capture::containers) fn layout(&self) -> Layout {
         self.layout
     }
 
     /// `N` bytes aligned to their number, in little-endian order.
     fn number<const N: usize>(&mut self) -> Option<[u8; N]> {
         let start = self.at.next_multiple_of(N.min(self.align));
-        let mut bytes: [u8; N] = self.bytes.get(start..start.checked_add(N)?)?.try_into().ok()?;
+        let mut bytes: [u8; N] = self
+            .bytes
+            .get(start..start.checked_add(N)?)?
+            .try_into()
+            .ok()?;
         self.at = start + N;
         if self.big_endian {
             bytes.reverse();
@@ -61,23 +65,36 @@ impl<'a> Fields<'a> {
         Some(bytes)
     }
 
-    pub(super) fn u8(&mut self) -> Option<u8> {
+    pub(in crate::capture::containers) fn u8(&mut self) -> Option<u8> {
         self.number::<1>().map(|[byte]| byte)
     }
 
-    pub(super) fn u32(&mut self) -> Option<u32> {
+    pub(in crate::capture::containers) fn u32(&mut self) -> Option<u32> {
         self.number().map(u32::from_le_bytes)
     }
 
-    pub(super) fn f32(&mut self) -> Option<f32> {
+    pub(in crate::capture::containers) fn u16(&mut self) -> Option<u16> {
+        self.number().map(u16::from_le_bytes)
+    }
+
+    pub(in crate::capture::containers) fn u64(&mut self) -> Option<u64> {
+        self.number().map(u64::from_le_bytes)
+    }
+
+    /// What is left.
+    pub(in crate::capture::containers) fn rest(&self) -> &'a [u8] {
+        self.bytes.get(self.at..).unwrap_or_default()
+    }
+
+    pub(in crate::capture::containers) fn f32(&mut self) -> Option<f32> {
         self.number().map(f32::from_le_bytes)
     }
 
-    pub(super) fn f64(&mut self) -> Option<f64> {
+    pub(in crate::capture::containers) fn f64(&mut self) -> Option<f64> {
         self.number().map(f64::from_le_bytes)
     }
 
-    pub(super) fn f64s<const N: usize>(&mut self) -> Option<[f64; N]> {
+    pub(in crate::capture::containers) fn f64s<const N: usize>(&mut self) -> Option<[f64; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
             *value = self.f64()?;
@@ -86,14 +103,14 @@ impl<'a> Fields<'a> {
     }
 
     /// A sequence of bytes.
-    pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
+    pub(in crate::capture::containers) fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = self.u32()? as usize;
         let bytes = self.bytes.get(self.at..self.at.checked_add(length)?)?;
         self.at += length;
         Some(bytes)
     }
 
-    pub(super) fn text(&mut self) -> Option<&'a str> {
+    pub(in crate::capture::containers) fn text(&mut self) -> Option<&'a str> {
         let bytes = self.bytes()?;
         let bytes = match self.layout {
             Layout::Ros1 => bytes,

@@ -9,7 +9,7 @@ mod image;
 mod messages;
 mod survey;
 
-pub(super) use fields::Layout;
+pub(super) use fields::{Fields, Layout};
 pub(super) use messages::Kind;
 
 use super::{About, Container, DepthImage, Stamp, damaged};

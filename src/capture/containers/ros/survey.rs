@@ -71,10 +71,11 @@ impl Survey {
             if is_depth {
                 first_ns.get_or_insert(message.log_ns);
             }
-            let looked = first_ns.is_some_and(|first| message.log_ns.saturating_sub(first) >= LOOK_NS);
+            let looked =
+                first_ns.is_some_and(|first| message.log_ns.saturating_sub(first) >= LOOK_NS);
             let enough = survey.best().is_some_and(|(topic, candidate)| {
-                let known = candidate.notes.contains_key(CAMERA_NOTE)
-                    || survey.camera_of(topic).is_some();
+                let known =
+                    candidate.notes.contains_key(CAMERA_NOTE) || survey.camera_of(topic).is_some();
                 known && (looked || wanted.is_some())
             });
             if enough || bytes >= MOST_BYTES {
@@ -126,14 +127,18 @@ impl Survey {
         };
         match stored {
             Some(stored) if room(self.depth.len()) => {
-                self.depth.entry(topic.clone()).or_insert_with(|| Candidate {
-                    compressed,
-                    stored,
-                    notes: channel.metadata.clone(),
-                });
+                self.depth
+                    .entry(topic.clone())
+                    .or_insert_with(|| Candidate {
+                        compressed,
+                        stored,
+                        notes: channel.metadata.clone(),
+                    });
             }
             None if room(self.others.len()) => {
-                self.others.entry(topic.clone()).or_insert_with(|| encoding.to_owned());
+                self.others
+                    .entry(topic.clone())
+                    .or_insert_with(|| encoding.to_owned());
             }
             _ => {}
         }
@@ -272,7 +277,11 @@ mod tests {
             ]
             .map(|(topic, fx)| (topic.to_owned(), camera(fx)))
             .into(),
-            units: [("/device_0/sensor_0/option/Depth_Units/value".to_owned(), 1e-4)].into(),
+            units: [(
+                "/device_0/sensor_0/option/Depth_Units/value".to_owned(),
+                1e-4,
+            )]
+            .into(),
             ..Survey::default()
         };
         let fx = |topic| survey.camera_of(topic).map(|camera| camera.0.intrinsics.fx);
@@ -280,8 +289,14 @@ mod tests {
         assert_eq!(fx("/cam/depth/image_rect_raw/compressedDepth"), Some(2.0));
         assert_eq!(fx("/cam/depthless/image"), None);
         assert_eq!(fx("/device_0/sensor_0/Depth_0/image/data"), Some(3.0));
-        assert_eq!(survey.unit_of("/device_0/sensor_0/Depth_0/image/data"), Some(1e-4));
-        assert_eq!(survey.unit_of("/device_0/sensor_1/Depth_0/image/data"), None);
+        assert_eq!(
+            survey.unit_of("/device_0/sensor_0/Depth_0/image/data"),
+            Some(1e-4)
+        );
+        assert_eq!(
+            survey.unit_of("/device_0/sensor_1/Depth_0/image/data"),
+            None
+        );
         assert_eq!(decimal(0.001f32), 0.001);
     }
 }
