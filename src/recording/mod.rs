@@ -44,6 +44,7 @@ mod error;
 mod index;
 mod info;
 pub mod message;
+pub mod raw;
 mod reader;
 mod sink;
 mod tally;

@@ -16,19 +16,11 @@ use super::{About, Container, DepthImage, Stamp, damaged};
 use crate::capture::CaptureError;
 use crate::capture::sequences::SequenceOptions;
 use crate::frame::FrameTime;
+use crate::recording::raw::{CLOCK_NOTE, SEQUENCE_NOTE, WALL_NOTE};
 use messages::{CompressedImage, Image};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use survey::Survey;
-
-/// Metadata of a channel of this program's raw captures: the whole camera as JSON.
-pub const CAMERA_NOTE: &str = "saint-live.camera";
-/// Log time less this is the device clock, ns.
-pub const CLOCK_NOTE: &str = "saint-live.clock_offset_ns";
-/// Number of the first frame; MCAP keeps the lower 32 bits of each.
-pub const SEQUENCE_NOTE: &str = "saint-live.first_sequence";
-/// `known` where publish times are the wall clock.
-pub const WALL_NOTE: &str = "saint-live.wall_clock";
 
 /// A stream of messages of one type.
 #[derive(Clone, Debug)]

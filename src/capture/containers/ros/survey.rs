@@ -1,13 +1,14 @@
 //! What is in a log of messages: topics with depth, and the cameras and units that belong to them.
 
 use super::messages::{CompressedImage, Image, camera_info, float32};
-use super::{CAMERA_NOTE, Kind, Message, MessageLog, image};
+use super::{Kind, Message, MessageLog, image};
 use crate::capture::CaptureError;
 use crate::capture::containers::{About, Stored};
 use crate::capture::sequences::camera::Said;
 use crate::capture::sequences::{DEFAULT_UNIT_M, input};
 use crate::frame::Camera;
 use crate::intrinsics::Calibration;
+use crate::recording::raw::CAMERA_NOTE;
 use std::collections::BTreeMap;
 use std::path::Path;
 
