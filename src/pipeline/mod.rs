@@ -62,11 +62,14 @@ use trace::Trace;
 
 /// Frames that may wait between capture and model.
 const WAITING: usize = 1;
+/// The same where frames are kept, not shown: as many as a disk may take its time for.
+const WAITING_TO_KEEP: usize = 64;
 /// Frames that may wait between the later stages of a replay, which evens out their times. Live
 /// they are handed over from stage to stage: a frame that waits there would only grow old.
 const HANDED_OVER: usize = 1;
-/// One packet in each stage and in each queue, so that a live source always finds an empty one.
-const PACKETS: usize = 4 + WAITING + 2 * HANDED_OVER;
+/// One packet in each stage and in each later queue; with those that wait, a live source always
+/// finds an empty one.
+const IN_STAGES: usize = 4 + 2 * HANDED_OVER;
 /// How often the observer is called.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -83,6 +86,9 @@ pub enum Pace {
     Realtime,
     /// As the device gives them; the oldest waiting frame is dropped when we are late.
     Live,
+    /// As the device gives them, to be kept: age does not matter and many frames may wait before
+    /// the oldest is dropped.
+    Keep,
 }
 
 /// How a pipeline runs.
@@ -251,17 +257,21 @@ fn run_in_threads<'scope, 'env: 'scope>(
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
-    let (captured_tx, captured) = mailbox::<Box<Packet>>(WAITING);
-    let handed_over = if intake.drops_oldest() {
-        0
-    } else {
-        HANDED_OVER
+    let waiting = match intake.pace() {
+        Pace::Keep => WAITING_TO_KEEP,
+        Pace::Block | Pace::Realtime | Pace::Live => WAITING,
     };
+    let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
+    let handed_over = match intake.pace() {
+        Pace::Block | Pace::Keep => HANDED_OVER,
+        Pace::Realtime | Pace::Live => 0,
+    };
+    let packets = IN_STAGES + waiting;
     let (modelled_tx, modelled) = bounded::<Box<Packet>>(handed_over);
     let (encoded_tx, encoded) = bounded::<Box<Packet>>(handed_over);
-    let (empty, empties) = bounded::<Box<Packet>>(PACKETS);
+    let (empty, empties) = bounded::<Box<Packet>>(packets);
     let (ended, end) = bounded::<()>(0);
-    for _ in 0..PACKETS {
+    for _ in 0..packets {
         // the channel holds exactly this many
         let _ = empty.send(Box::default());
     }

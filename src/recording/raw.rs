@@ -394,7 +394,12 @@ mod tests {
         vec![
             frame(u64::from(u32::MAX) * 3 + 2, 55, wall, [0; 15]),
             // numbers pass a multiple of 2³², the wall clock drifts
-            frame(u64::from(u32::MAX) * 3 + 3, 11_111_166, wall + 11_111_113, [65535; 15]),
+            frame(
+                u64::from(u32::MAX) * 3 + 3,
+                11_111_166,
+                wall + 11_111_113,
+                [65535; 15],
+            ),
             frame(
                 u64::from(u32::MAX) * 3 + 9,
                 22_222_277,

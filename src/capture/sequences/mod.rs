@@ -32,6 +32,7 @@ use crate::intrinsics::{Calibration, HOW_TO_GIVE, IntrinsicsError};
 use std::path::{Path, PathBuf};
 
 pub use numbering::natural_order;
+pub use timestamps::timestamp_line;
 
 /// 4096x4096: no depth sensor has more pixels; a file that says so is damaged.
 const MAX_PIXELS: u64 = 1 << 24;

@@ -5,7 +5,7 @@ use crate::capture::CaptureError;
 use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageEncoder};
 use std::fs::File;
-use std::io::{BufRead, BufReader, BufWriter, Seek};
+use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 
 const REPLACE: &str = "give undamaged 16-bit PNG images of depth, not pictures of it";
@@ -67,12 +67,31 @@ pub fn write_png_depth(
         )));
     }
     let failed = |what: String| input(path, what, "check the folder and the space left");
-    let file = File::create(path).map_err(|error| failed(error.to_string()))?;
+    let mut file = Vec::new();
+    encode_png_depth(width, height, depth, &mut file).map_err(failed)?;
+    std::fs::write(path, file).map_err(|error| failed(error.to_string()))
+}
+
+/// Appends the image file's bytes to `file`.
+///
+/// # Errors
+/// What the encoder says, such as a size that is not that of `depth`.
+pub fn encode_png_depth(
+    width: u32,
+    height: u32,
+    depth: &[u16],
+    file: &mut Vec<u8>,
+) -> Result<(), String> {
+    let pixels = u64::from(width) * u64::from(height);
+    if depth.len() as u64 != pixels {
+        let given = depth.len();
+        return Err(format!("{given} pixels for an image of {width}x{height}"));
+    }
     let bytes: Vec<u8> = depth.iter().flat_map(|raw| raw.to_ne_bytes()).collect();
     // Depth rows look like the rows above: the Up filter alone is as small as trying all.
-    PngEncoder::new_with_quality(BufWriter::new(file), CompressionType::Fast, FilterType::Up)
+    PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Up)
         .write_image(&bytes, width, height, ExtendedColorType::L16)
-        .map_err(|error| failed(error.to_string()))
+        .map_err(|error| error.to_string())
 }
 
 #[cfg(test)]
