@@ -6,6 +6,7 @@
 pub mod color;
 pub mod color_image;
 mod color_open;
+pub mod containers;
 pub mod devices;
 pub mod sequences;
 pub mod synthetic;

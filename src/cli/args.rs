@@ -1,7 +1,7 @@
 //! The arguments as they are typed.
 
 use super::values::{Length, duration, duration_or_zero, factor, length, length_or_zero, size};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use saint_live::fit::contact_distance::ContactDistance;
 use std::path::PathBuf;
@@ -41,8 +41,10 @@ pub struct Arguments {
 pub enum Command {
     /// List the cameras of this machine.
     Devices(DevicesArgs),
-    /// Model recorded depth frames: a folder of EXR or PNG files, a TUM folder, a .mcap file.
+    /// Model recorded depth frames: a folder of images, a recording, another program's file.
     Replay(ReplayArgs),
+    /// Capture a camera's raw depth, lossless and unmodelled, to replay it later.
+    Record(RecordArgs),
     /// Play a recording in the terminal, each sphere in its colour.
     Play(PlayArgs),
     /// Write the frames of a recording as files other programs read.
@@ -102,6 +104,73 @@ pub struct LiveArgs {
     pub map: MapArgs,
     #[command(flatten)]
     pub stream: StreamArgs,
+}
+
+impl LiveArgs {
+    /// The camera that `record` names; everything of the model is as without flags.
+    pub fn of_camera(args: &RecordArgs) -> Self {
+        let matches = Self::augment_args(clap::Command::new("live")).get_matches_from(["live"]);
+        let usual = Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+        Self {
+            device: vec![args.device.clone()],
+            size: args.size,
+            fps: args.fps,
+            pixel_format: args.pixel_format.clone(),
+            reconnect: args.reconnect,
+            camera: args.camera.clone(),
+            ..usual
+        }
+    }
+}
+
+/// `record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Depth camera: /dev/videoN, N, auto, or synthetic:SCENE[,key=value...].
+    #[arg(short, long, value_name = "DEVICE")]
+    pub device: String,
+    /// File (mcap; `-` is standard output) or folder (png16, exr) to write.
+    #[arg(short, long, value_name = "PATH")]
+    pub output: PathBuf,
+    /// Form of the output. mcap is one file, fast enough for any camera, and is read by ROS 2
+    /// tools; png16 and exr are a file for each frame.
+    #[arg(long, value_enum, default_value_t = RecordArg::Mcap)]
+    pub to: RecordArg,
+    /// Replace what exists.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Image size to ask the camera for.
+    #[arg(short, long, value_name = "WxH", value_parser = size)]
+    pub size: Option<(u32, u32)>,
+    /// Frames per second to ask the camera for.
+    #[arg(long)]
+    pub fps: Option<u32>,
+    /// Format to ask the camera for: Z16, Y16, Y14, Y12, Y10, Y10B.
+    #[arg(long, value_name = "FOURCC")]
+    pub pixel_format: Option<String>,
+    /// Wait for an unplugged camera to come back instead of ending.
+    #[arg(long)]
+    pub reconnect: bool,
+    /// Stop after taking this many frames.
+    #[arg(short = 'n', long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// Stop after this much stream time.
+    #[arg(short = 't', long, value_name = "TIME", value_parser = duration)]
+    pub duration: Option<Duration>,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+}
+
+/// Form of a raw capture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum RecordArg {
+    /// RVL images in an MCAP file.
+    #[default]
+    Mcap,
+    /// 16-bit PNG files, camera.json and timestamps.txt.
+    Png16,
+    /// EXR files, metres, camera and time inside.
+    Exr,
 }
 
 /// What the user knows of the camera.
@@ -281,7 +350,8 @@ pub struct RangeArgs {
 /// `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Folder, file, printf pattern (depth_%06d.png), or recording.
+    /// Folder, file, printf pattern (depth_%06d.png), recording, or another program's file:
+    /// RealSense or ROS .bag, ROS 2 .mcap, Azure Kinect .mkv, ScanNet .sens.
     pub input: PathBuf,
     #[command(flatten)]
     pub range: RangeArgs,
@@ -297,6 +367,9 @@ pub struct ReplayArgs {
     /// What the values of EXR files measure.
     #[arg(long, value_enum, default_value_t = ExrDepthArg::Planar)]
     pub exr_depth: ExrDepthArg,
+    /// Topic of the depth images in a ROS bag or MCAP file that has several.
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Option<String>,
     /// Carry the colour images beside the depth along, bytes untouched, as a channel of their own.
     #[arg(long)]
     pub color: bool,

@@ -12,6 +12,7 @@ mod info;
 mod machine;
 mod message;
 mod play;
+mod record;
 mod report;
 mod run;
 mod signals;
@@ -49,6 +50,7 @@ fn dispatch(arguments: Arguments) -> Result<(), Failure> {
         None => run::capture(&arguments.live, arguments.quiet),
         Some(Command::Devices(args)) => devices::run(&args),
         Some(Command::Replay(args)) => run::replay(&args, arguments.quiet),
+        Some(Command::Record(args)) => record::run(&args, arguments.quiet),
         Some(Command::Play(args)) => play::run(&args),
         Some(Command::Export(args)) => export::run(&args, arguments.quiet),
         Some(Command::Info(args)) => info::run(&args),

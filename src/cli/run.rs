@@ -68,6 +68,7 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
         range: args.range,
         fps: args.fps,
         exr_depth: args.exr_depth,
+        topic: args.topic.clone(),
         color: args.color,
     };
     let mut source = if args.repeat {

@@ -3,6 +3,7 @@
 use super::args::{CameraArgs, ExrDepthArg, LiveArgs, RangeArgs};
 use super::failure::Failure;
 use super::message;
+use saint_live::capture::containers;
 use saint_live::capture::sequences::{self, ExrDepth, SequenceOptions};
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
 use saint_live::capture::v4l2::{V4l2Options, V4l2Source};
@@ -109,6 +110,8 @@ pub struct InputOptions {
     pub fps: Option<f64>,
     /// What the values of EXR files measure.
     pub exr_depth: ExrDepthArg,
+    /// Topic of the depth images in a file of messages.
+    pub topic: Option<String>,
     /// Take the colour images beside the depth along.
     pub color: bool,
 }
@@ -128,6 +131,7 @@ pub fn recorded(input: &Path, options: &InputOptions) -> Result<Box<dyn FrameSou
             ("--intrinsics", given.intrinsics.is_some()),
             ("--depth-unit", given.depth_unit.is_some()),
             ("--invalid", given.invalid.is_some()),
+            ("--topic", options.topic.is_some()),
         ];
         if let Some((flag, _)) = unused.iter().find(|(_, given)| *given) {
             return Err(Failure::usage(format_args!(
@@ -153,6 +157,7 @@ pub fn recorded(input: &Path, options: &InputOptions) -> Result<Box<dyn FrameSou
         },
         first: usize::try_from(from).unwrap_or(usize::MAX),
         count: to.map(|to| usize::try_from(to - from).unwrap_or(usize::MAX)),
+        topic: options.topic.clone(),
         without_color: !options.color,
         ..SequenceOptions::default()
     };
@@ -178,12 +183,13 @@ pub fn repeated(input: &Path, options: &InputOptions) -> Result<Box<dyn FrameSou
     )))
 }
 
-/// True where the file is a recording of ours rather than an image.
+/// True where the file is a recording of spheres rather than depth images.
 pub fn is_recording(path: &Path) -> bool {
     let mut start = [0; RECORDING_MAGIC.len()];
     let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
     let named = path.extension().is_some_and(|ext| ext == "mcap") && path.is_file();
-    named || (read.is_ok() && start == RECORDING_MAGIC)
+    let is_mcap = named || (read.is_ok() && start == RECORDING_MAGIC);
+    is_mcap && !containers::holds_depth_images(path)
 }
 
 fn calibration(args: &CameraArgs) -> Result<Option<Calibration>, Failure> {

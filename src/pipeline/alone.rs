@@ -9,7 +9,7 @@ use super::mailbox::{Wait, mailbox};
 use super::packet::Packet;
 use super::stages::{Encode, Model, Shared, Sink};
 use super::{
-    Colors, IDLE, Meter, PACKETS, Stage, TICK, WAITING, bounded, capture_all, join, spawn,
+    Colors, IDLE, IN_STAGES, Meter, Stage, TICK, bounded, capture_all, join, spawn, waiting,
 };
 use std::thread::Scope;
 use std::time::{Duration, Instant};
@@ -69,9 +69,11 @@ pub(super) fn run_beside_capture<'scope, 'env: 'scope>(
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
-    let (captured_tx, captured) = mailbox::<Box<Packet>>(WAITING);
-    let (empty, empties) = bounded::<Box<Packet>>(PACKETS);
-    for _ in 0..PACKETS {
+    let waiting = waiting(intake.pace());
+    let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
+    let packets = IN_STAGES + waiting;
+    let (empty, empties) = bounded::<Box<Packet>>(packets);
+    for _ in 0..packets {
         // the channel holds exactly this many
         let _ = empty.send(Box::default());
     }

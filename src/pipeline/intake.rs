@@ -58,6 +58,10 @@ impl<'a> Intake<'a> {
         }
     }
 
+    pub(super) fn pace(&self) -> Pace {
+        self.options.pace
+    }
+
     /// True where a frame that finds no room pushes the oldest out instead of waiting.
     pub(super) fn drops_oldest(&self) -> bool {
         self.options.pace != Pace::Block
@@ -73,7 +77,7 @@ impl<'a> Intake<'a> {
             .options
             .duration
             .map(|d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX));
-        if self.options.pace == Pace::Live
+        if matches!(self.options.pace, Pace::Live | Pace::Keep)
             && duration_ns.is_some_and(|most| start - self.started_ns >= most)
         {
             return Taken::End;
@@ -119,7 +123,7 @@ impl<'a> Intake<'a> {
         self.last_device_ns = device_ns;
         match self.options.pace {
             Pace::Block => {}
-            Pace::Live => packet.record.stamp_ns = live_stamp_ns(device_ns, arrival),
+            Pace::Live | Pace::Keep => packet.record.stamp_ns = live_stamp_ns(device_ns, arrival),
             Pace::Realtime => {
                 let due = self
                     .started_ns

@@ -65,11 +65,14 @@ use trace::Trace;
 
 /// Frames that may wait between capture and model.
 const WAITING: usize = 1;
+/// The same where frames are kept, not shown: as many as a disk may take its time for.
+const WAITING_TO_KEEP: usize = 64;
 /// Frames that may wait between the later stages of a replay, which evens out their times. Live
 /// they are handed over from stage to stage: a frame that waits there would only grow old.
 const HANDED_OVER: usize = 1;
-/// One packet in each stage and in each queue, so that a live source always finds an empty one.
-const PACKETS: usize = 4 + WAITING + 2 * HANDED_OVER;
+/// One packet in each stage and in each later queue; with those that wait, a live source always
+/// finds an empty one.
+const IN_STAGES: usize = 4 + 2 * HANDED_OVER;
 /// How often the observer is called.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -86,6 +89,9 @@ pub enum Pace {
     Realtime,
     /// As the device gives them; the oldest waiting frame is dropped when we are late.
     Live,
+    /// As the device gives them, to be kept: age does not matter and many frames may wait before
+    /// the oldest is dropped.
+    Keep,
 }
 
 /// How a pipeline runs.
@@ -211,6 +217,14 @@ pub fn run(
     }
 }
 
+/// Frames that may wait between capture and model.
+fn waiting(pace: Pace) -> usize {
+    match pace {
+        Pace::Keep => WAITING_TO_KEEP,
+        Pace::Block | Pace::Realtime | Pace::Live => WAITING,
+    }
+}
+
 /// Every stage in its own thread; the caller's thread observes.
 fn run_in_threads<'scope, 'env: 'scope>(
     scope: &'scope Scope<'scope, 'env>,
@@ -225,17 +239,18 @@ fn run_in_threads<'scope, 'env: 'scope>(
         sink,
         colors,
     } = rest;
-    let (captured_tx, captured) = mailbox::<Box<Packet>>(WAITING);
-    let handed_over = if intake.drops_oldest() {
-        0
-    } else {
-        HANDED_OVER
+    let waiting = waiting(intake.pace());
+    let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
+    let handed_over = match intake.pace() {
+        Pace::Block | Pace::Keep => HANDED_OVER,
+        Pace::Realtime | Pace::Live => 0,
     };
+    let packets = IN_STAGES + waiting;
     let (modelled_tx, modelled) = bounded::<Box<Packet>>(handed_over);
     let (encoded_tx, encoded) = bounded::<Box<Packet>>(handed_over);
-    let (empty, empties) = bounded::<Box<Packet>>(PACKETS);
+    let (empty, empties) = bounded::<Box<Packet>>(packets);
     let (ended, end) = bounded::<()>(0);
-    for _ in 0..PACKETS {
+    for _ in 0..packets {
         // the channel holds exactly this many
         let _ = empty.send(Box::default());
     }

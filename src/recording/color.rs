@@ -41,13 +41,13 @@ pub fn write(frame: &ColorFrame, stamp_ns: u64, message: &mut Vec<u8>) {
     message.extend_from_slice(&frame.data);
 }
 
-fn length(message: &mut Vec<u8>, length: usize) {
+pub(super) fn length(message: &mut Vec<u8>, length: usize) {
     message.resize(message.len().next_multiple_of(4), 0);
     // the writer has checked the message against MAX_MESSAGE, far below u32::MAX
     message.extend_from_slice(&(length as u32).to_le_bytes());
 }
 
-fn string(message: &mut Vec<u8>, text: &str) {
+pub(super) fn string(message: &mut Vec<u8>, text: &str) {
     length(message, text.len() + 1);
     message.extend_from_slice(text.as_bytes());
     message.push(0);

@@ -48,6 +48,7 @@ mod error;
 mod index;
 mod info;
 pub mod message;
+pub mod raw;
 mod reader;
 mod sink;
 mod stream;

@@ -551,7 +551,12 @@ fn generator() -> String {
     concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned()
 }
 
-fn write_error(error: McapError, target: &str, frames: u64, bytes: u64) -> RecordingError {
+pub(super) fn write_error(
+    error: McapError,
+    target: &str,
+    frames: u64,
+    bytes: u64,
+) -> RecordingError {
     let target = target.to_owned();
     match error {
         McapError::Io(source) => match source.kind() {

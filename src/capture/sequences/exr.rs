@@ -131,20 +131,28 @@ pub fn read_exr_depth(
 /// `invalidCodes`. An existing file is replaced: ask before.
 ///
 /// # Errors
-/// [`CaptureError::Usage`] when the frame is not of the camera's size, [`CaptureError::Input`]
-/// when the file cannot be written.
+/// [`CaptureError::Input`] when the frame is not of the camera's size or the file cannot be written.
 pub fn write_exr_depth(
     path: &Path,
     camera: &Camera,
     frame: &DepthFrame,
 ) -> Result<(), CaptureError> {
+    let file = encode_exr_depth(camera, frame).map_err(|what| unwritable(path, what))?;
+    std::fs::write(path, file).map_err(|error| unwritable(path, error.to_string()))
+}
+
+/// The bytes of the file that [`write_exr_depth`] writes.
+///
+/// # Errors
+/// The frame is not of the camera's size, or what the encoder says.
+pub fn encode_exr_depth(camera: &Camera, frame: &DepthFrame) -> Result<Vec<u8>, String> {
     let unit = camera.depth_unit_m;
     let values = frame
         .depth
         .iter()
         .map(|&raw| (f64::from(raw) * unit) as f32);
     let attributes = ExrAttributes::of_frame(camera, frame.sequence, frame.time);
-    write(path, camera, values.collect(), &attributes)
+    encode(camera, values.collect(), &attributes)
 }
 
 /// Writes planar depth in metres (0: no measurement), such as a decoded frame.
@@ -165,23 +173,27 @@ pub fn write_exr_metres(
         invalid: None,
         ..ExrAttributes::of_frame(camera, sequence, time)
     };
-    write(path, camera, depth_m.to_vec(), &attributes)
+    let file = encode(camera, depth_m.to_vec(), &attributes);
+    let file = file.map_err(|what| unwritable(path, what))?;
+    std::fs::write(path, file).map_err(|error| unwritable(path, error.to_string()))
 }
 
-fn write(
-    path: &Path,
+fn unwritable(path: &Path, what: String) -> CaptureError {
+    input(path, what, "check the folder and the space left")
+}
+
+fn encode(
     camera: &Camera,
     values: Vec<f32>,
     attributes: &ExrAttributes,
-) -> Result<(), CaptureError> {
+) -> Result<Vec<u8>, String> {
     if values.len() != camera.pixels() || values.is_empty() {
-        return Err(CaptureError::Usage(format!(
-            "{}: a frame of {} pixels for a camera of {}x{}",
-            path.display(),
+        return Err(format!(
+            "a frame of {} pixels for a camera of {}x{}",
             values.len(),
             camera.width,
             camera.height
-        )));
+        ));
     }
     let mut layer_attributes = LayerAttributes::default();
     attributes.write(&mut layer_attributes);
@@ -198,14 +210,13 @@ fn write(
         AnyChannels::sort(std::iter::once(channel).collect()),
     );
     let mut file = Vec::new();
-    let failed = |what: String| input(path, what, "check the folder and the space left");
     Image::from_layer(layer)
         .write()
         .non_parallel()
         .to_buffered(Cursor::new(&mut file))
-        .map_err(|error| failed(message(&error)))?;
+        .map_err(|error| message(&error))?;
     sort_header(&mut file);
-    std::fs::write(path, file).map_err(|error| failed(error.to_string()))
+    Ok(file)
 }
 
 /// Part and channel that hold the depth.

@@ -2,7 +2,7 @@
 
 use super::numbering::{self, Pattern, time_name};
 use super::timestamps::{Timestamps, frame_time};
-use super::{ColorFile, FrameFile, camera_json, input, tum};
+use super::{ColorFile, FrameFile, camera_json, input, seven_scenes, tum};
 use crate::capture::CaptureError;
 use crate::intrinsics::Calibration;
 use std::collections::BTreeMap;
@@ -43,6 +43,8 @@ pub(super) struct Layout {
     pub(super) sidecar: Option<Calibration>,
     /// Metres per depth integer by the layout's own convention.
     pub(super) unit_m: Option<f64>,
+    /// Integers that mean "no measurement" by the layout's own convention.
+    pub(super) invalid: &'static [u16],
     /// Intrinsics to suggest when there are none.
     pub(super) suggestion: &'static str,
     pub(super) name: String,
@@ -56,6 +58,9 @@ pub(super) fn find(input_path: &Path) -> Result<Layout, CaptureError> {
     if input_path.is_dir() {
         if input_path.join(tum::DEPTH_LIST).is_file() {
             return tum::find(input_path);
+        }
+        if let Some(layout) = seven_scenes::find(input_path, &files_in(input_path)?)? {
+            return Ok(layout);
         }
         let inner = input_path.join("depth");
         let folder = if inner.is_dir() {
@@ -142,6 +147,7 @@ fn numbered(
         sidecar: camera_json::find(folder)?
             .map_or_else(|| camera_json::find(root), |c| Ok(Some(c)))?,
         unit_m: None,
+        invalid: &[0],
         suggestion: "",
         name: name_of(root),
     })

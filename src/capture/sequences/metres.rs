@@ -12,30 +12,30 @@ const FINE_REACH_M: f64 = 16.38;
 
 /// Samples that became "no measurement", by cause. Samples that are exactly 0 are not counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Refused {
+pub(in crate::capture) struct Refused {
     /// NaN or infinite.
-    pub(super) not_finite: u64,
+    pub(in crate::capture) not_finite: u64,
     /// Below 0.
-    pub(super) negative: u64,
+    pub(in crate::capture) negative: u64,
     /// Above 65535 units.
-    pub(super) too_far: u64,
+    pub(in crate::capture) too_far: u64,
 }
 
 impl Refused {
-    pub(super) fn add(&mut self, other: Self) {
+    pub(in crate::capture) fn add(&mut self, other: Self) {
         self.not_finite += other.not_finite;
         self.negative += other.negative;
         self.too_far += other.too_far;
     }
 
-    pub(super) fn total(&self) -> u64 {
+    pub(in crate::capture) fn total(&self) -> u64 {
         self.not_finite + self.negative + self.too_far
     }
 }
 
 /// Turns stored values into planar depth in metres.
 #[derive(Clone, Debug)]
-pub(super) struct Planar {
+pub(in crate::capture) struct Planar {
     meaning: ExrDepth,
     /// Planar distance per distance along the ray, per pixel; empty unless needed.
     per_ray: Vec<f64>,
@@ -43,7 +43,12 @@ pub(super) struct Planar {
 
 impl Planar {
     /// For images of `width`×`height` pixels; `O(pixels)` once for ray depth.
-    pub(super) fn new(meaning: ExrDepth, k: &Intrinsics, width: u32, height: u32) -> Self {
+    pub(in crate::capture) fn new(
+        meaning: ExrDepth,
+        k: &Intrinsics,
+        width: u32,
+        height: u32,
+    ) -> Self {
         let per_ray = match meaning {
             ExrDepth::Ray => (0..height)
                 .flat_map(|y| (0..width).map(move |x| (f64::from(x), f64::from(y))))
@@ -71,7 +76,7 @@ impl Planar {
     }
 
     /// A unit for values that name none: 0.25 mm when all are nearer than 16.38 m, else 1 mm.
-    pub(super) fn fitting_unit_m(&self, values: &[f32]) -> f64 {
+    pub(in crate::capture) fn fitting_unit_m(&self, values: &[f32]) -> f64 {
         let farthest = values
             .iter()
             .enumerate()
@@ -89,7 +94,12 @@ impl Planar {
     /// Depth integers of `values` (row-major), rounded to the nearest unit; refused samples
     /// become 0. Values that are whole multiples of `unit_m` come back exactly: an f32 is off by
     /// at most 65535·2⁻²⁴ = 0.004 units.
-    pub(super) fn quantise(&self, values: &[f32], unit_m: f64, out: &mut Vec<u16>) -> Refused {
+    pub(in crate::capture) fn quantise(
+        &self,
+        values: &[f32],
+        unit_m: f64,
+        out: &mut Vec<u16>,
+    ) -> Refused {
         let mut refused = Refused::default();
         let units_per_m = 1.0 / unit_m;
         out.clear();

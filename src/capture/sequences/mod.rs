@@ -7,31 +7,39 @@
 //! | input | what is read |
 //! |---|---|
 //! | folder with `depth.txt` | TUM RGB-D: 16-bit PNG, 5000 units/m, colour by nearest time |
+//! | folder with `frame-000000.depth.png` | 7-Scenes: 16-bit PNG, millimetres, 65535 invalid |
 //! | folder with `depth/` | `depth/*.png` or `depth/*.exr`, `colour/`, `camera.json`, `timestamps.txt` |
 //! | folder of images | `*.exr` or 16-bit `*.png`, in numeric order |
 //! | `depth_%06d.exr` | the files of that name, in numeric order |
 //! | `frame.exr`, `frame.png` | one frame |
+//! | `.bag`, `.mcap`, `.mkv`, `.sens` | other programs' recordings: [`containers`] |
 
-mod camera;
+pub(super) mod camera;
 pub mod camera_json;
 pub mod exr;
 pub mod exr_attributes;
 mod layout;
-mod metres;
+pub(super) mod metres;
 mod numbering;
 pub mod png;
+mod seven_scenes;
 mod source;
-mod timestamps;
+pub(super) mod timestamps;
 mod tum;
 
-use super::{CaptureError, FrameSource};
+use super::{CaptureError, FrameSource, containers};
 use crate::intrinsics::{Calibration, HOW_TO_GIVE, IntrinsicsError};
 use std::path::{Path, PathBuf};
 
 pub use numbering::natural_order;
+pub use timestamps::timestamp_line;
 
 /// 4096x4096: no depth sensor has more pixels; a file that says so is damaged.
 const MAX_PIXELS: u64 = 1 << 24;
+/// Rate of sequences that name neither times nor a rate.
+pub(super) const DEFAULT_FPS: f64 = 30.0;
+/// Unit of integers that name none: millimetres, as most tools write them.
+pub(super) const DEFAULT_UNIT_M: f64 = 0.001;
 
 /// What the values of an EXR depth channel measure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -81,6 +89,8 @@ pub struct SequenceOptions {
     pub exr_channel: Option<String>,
     /// EXR layer (part, or prefix of the channel name) to look in.
     pub exr_layer: Option<String>,
+    /// Topic of the depth images in a file of messages.
+    pub topic: Option<String>,
     /// Frames to leave out at the start.
     pub first: usize,
     /// Frames to give at most.
@@ -89,7 +99,7 @@ pub struct SequenceOptions {
     pub without_color: bool,
 }
 
-/// Opens a recorded sequence: a folder, a single image or a printf pattern.
+/// Opens a recorded sequence: a folder, a single image, a printf pattern or another program's file.
 ///
 /// The first frame is read here, so that whatever is wrong with all frames is said at once.
 ///
@@ -98,6 +108,15 @@ pub struct SequenceOptions {
 /// `options` asks for something impossible.
 pub fn open(input: &Path, options: &SequenceOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
     check(options)?;
+    if containers::is_container(input) {
+        return containers::open(input, options);
+    }
+    if let Some(topic) = &options.topic {
+        let shown = input.display();
+        return Err(CaptureError::Usage(format!(
+            "--topic {topic}: {shown} has no topics"
+        )));
+    }
     let layout = layout::find(input)?;
     Ok(Box::new(source::ImageSequence::open(layout, options)?))
 }
@@ -126,7 +145,11 @@ fn check(options: &SequenceOptions) -> Result<(), CaptureError> {
 }
 
 /// An input error without a frame number.
-fn input(path: &Path, what: impl Into<String>, remedy: impl Into<String>) -> CaptureError {
+pub(super) fn input(
+    path: &Path,
+    what: impl Into<String>,
+    remedy: impl Into<String>,
+) -> CaptureError {
     CaptureError::Input {
         path: path.to_owned(),
         frame: None,
@@ -136,7 +159,7 @@ fn input(path: &Path, what: impl Into<String>, remedy: impl Into<String>) -> Cap
 }
 
 /// The same error, naming the frame too.
-fn in_frame(error: CaptureError, number: u64) -> CaptureError {
+pub(super) fn in_frame(error: CaptureError, number: u64) -> CaptureError {
     match error {
         CaptureError::Input {
             path, what, remedy, ..
@@ -170,17 +193,21 @@ fn calibration_error(error: IntrinsicsError, input_path: &Path) -> CaptureError 
     }
 }
 
-/// Checks an image size before anything of that size is allocated; gives its pixels.
-fn checked_pixels(path: &Path, width: u64, height: u64) -> Result<usize, CaptureError> {
+/// Checks an image size before anything of that size is allocated; gives its pixels, or says what
+/// is wrong.
+pub(super) fn pixel_count(width: u64, height: u64) -> Result<usize, String> {
     let pixels = width.saturating_mul(height);
     if pixels == 0 || pixels > MAX_PIXELS {
-        return Err(input(
-            path,
-            format!("{width}x{height} pixels, but 1 to {MAX_PIXELS} are possible"),
-            "replace the file",
+        return Err(format!(
+            "{width}x{height} pixels, but 1 to {MAX_PIXELS} are possible"
         ));
     }
     Ok(pixels as usize)
+}
+
+/// The same for an image file.
+fn checked_pixels(path: &Path, width: u64, height: u64) -> Result<usize, CaptureError> {
+    pixel_count(width, height).map_err(|what| input(path, what, "replace the file"))
 }
 
 /// One depth image of a sequence.

@@ -1,14 +1,14 @@
 //! Depth images as 16-bit grey PNG: the sensor's integers, unchanged.
 
-use super::{checked_pixels, input};
+use super::{input, pixel_count};
 use crate::capture::CaptureError;
 use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageEncoder};
 use std::fs::File;
-use std::io::{BufReader, BufWriter};
+use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 
-const REPLACE: &str = "the file is damaged or not a PNG image: replace it";
+const REPLACE: &str = "give undamaged 16-bit PNG images of depth, not pictures of it";
 
 /// Reads one image into `depth` (row-major); gives width and height, pixels. `bytes` is scratch,
 /// used again by the next call.
@@ -22,17 +22,24 @@ pub fn read_png_depth(
 ) -> Result<(u32, u32), CaptureError> {
     let file =
         File::open(path).map_err(|error| input(path, error.to_string(), "check the path"))?;
-    let damaged = |error: image::ImageError| input(path, error.to_string(), REPLACE);
-    let decoder = PngDecoder::new(BufReader::new(file)).map_err(damaged)?;
+    decode_png_depth(BufReader::new(file), bytes, depth).map_err(|what| input(path, what, REPLACE))
+}
+
+/// The same for an image that lies anywhere; says what is wrong with it.
+pub(in crate::capture) fn decode_png_depth(
+    from: impl BufRead + Seek,
+    bytes: &mut Vec<u8>,
+    depth: &mut Vec<u16>,
+) -> Result<(u32, u32), String> {
+    let damaged = |error: image::ImageError| error.to_string();
+    let decoder = PngDecoder::new(from).map_err(damaged)?;
     let (width, height) = decoder.dimensions();
-    let pixels = checked_pixels(path, u64::from(width), u64::from(height))?;
+    let pixels = pixel_count(u64::from(width), u64::from(height))?;
     if decoder.color_type() != ColorType::L16 {
-        let what = match decoder.color_type() {
+        return Err(match decoder.color_type() {
             ColorType::L8 => "an 8-bit image, but depth has 16 bits".to_owned(),
             other => format!("a {other:?} image, but depth is 16-bit grey"),
-        };
-        let remedy = "give the folder of the depth images, not of pictures of them";
-        return Err(input(path, what, remedy));
+        });
     }
     bytes.resize(pixels * 2, 0);
     decoder.read_image(bytes).map_err(damaged)?;
@@ -60,12 +67,31 @@ pub fn write_png_depth(
         )));
     }
     let failed = |what: String| input(path, what, "check the folder and the space left");
-    let file = File::create(path).map_err(|error| failed(error.to_string()))?;
+    let mut file = Vec::new();
+    encode_png_depth(width, height, depth, &mut file).map_err(failed)?;
+    std::fs::write(path, file).map_err(|error| failed(error.to_string()))
+}
+
+/// Appends the image file's bytes to `file`.
+///
+/// # Errors
+/// What the encoder says, such as a size that is not that of `depth`.
+pub fn encode_png_depth(
+    width: u32,
+    height: u32,
+    depth: &[u16],
+    file: &mut Vec<u8>,
+) -> Result<(), String> {
+    let pixels = u64::from(width) * u64::from(height);
+    if depth.len() as u64 != pixels {
+        let given = depth.len();
+        return Err(format!("{given} pixels for an image of {width}x{height}"));
+    }
     let bytes: Vec<u8> = depth.iter().flat_map(|raw| raw.to_ne_bytes()).collect();
     // Depth rows look like the rows above: the Up filter alone is as small as trying all.
-    PngEncoder::new_with_quality(BufWriter::new(file), CompressionType::Fast, FilterType::Up)
+    PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Up)
         .write_image(&bytes, width, height, ExtendedColorType::L16)
-        .map_err(|error| failed(error.to_string()))
+        .map_err(|error| error.to_string())
 }
 
 #[cfg(test)]

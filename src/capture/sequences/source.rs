@@ -1,19 +1,17 @@
 //! A sequence of image files as a [`FrameSource`].
 
-use super::camera::Known;
+use super::camera::{Known, Said, rate};
 use super::exr::{ExrChannel, ExrImage, read_exr_depth};
 use super::layout::{Format, Layout};
 use super::metres::{Planar, Refused};
 use super::png::read_png_depth;
-use super::{ColorFile, FrameFile, SequenceOptions, in_frame, input, numbering};
+use super::{
+    ColorFile, DEFAULT_FPS, DEFAULT_UNIT_M, FrameFile, SequenceOptions, in_frame, input, numbering,
+};
 use crate::capture::{CaptureError, FrameSource, Next, SourceLosses};
 use crate::frame::{Camera, ColorFrame, DepthFrame, FrameTime};
 use std::path::Path;
 
-/// Rate of sequences that name neither times nor a rate.
-const DEFAULT_FPS: f64 = 30.0;
-/// Unit of 16-bit images that name none: millimetres, as most tools write them.
-const DEFAULT_PNG_UNIT_M: f64 = 0.001;
 /// A colour image of a depth camera is a few megabytes.
 const MAX_COLOR_BYTES: u64 = 1 << 26;
 
@@ -119,16 +117,23 @@ impl ImageSequence {
         }
         let known = Known {
             options,
-            layout: &layout,
-            attributes: &images.exr.attributes,
+            input: &layout.input,
+            said: Said::from(&images.exr.attributes),
+            sidecar: layout.sidecar.as_ref(),
+            unit_m: layout.unit_m,
+            invalid: layout.invalid,
+            suggestion: layout.suggestion,
+            name: &layout.name,
+            integers: layout.format == Format::Png,
+            fps: rate(&frames),
         };
         let (width, height) = images.size;
         let intrinsics = known.intrinsics(width, height)?;
         let planar = Planar::new(options.exr_depth, &intrinsics, width, height);
-        let camera = known.camera(images.size, intrinsics, &frames, |said| {
+        let camera = known.camera(images.size, intrinsics, |said| {
             match (layout.format, said) {
                 (_, Some(unit)) => unit,
-                (Format::Png, None) => DEFAULT_PNG_UNIT_M,
+                (Format::Png, None) => DEFAULT_UNIT_M,
                 (Format::Exr, None) => planar.fitting_unit_m(&images.exr.values),
             }
         })?;

@@ -10,6 +10,8 @@ use std::path::Path;
 const EPOCH_FROM_NS: i64 = 1_000_000_000_000_000_000;
 /// Integers with so many digits are nanoseconds already.
 pub(super) const NANOSECOND_DIGITS: usize = 16;
+/// What the word of a wall clock begins with.
+const WALL: &str = "wall=";
 /// Text files beside a sequence are small: an hour at 90 Hz is 10 MB.
 const MAX_TEXT_BYTES: u64 = 1 << 26;
 
@@ -36,9 +38,21 @@ pub(super) fn nanoseconds(text: &str) -> Option<i64> {
     Some(if negative { -ns } else { ns })
 }
 
+/// A line of `timestamps.txt` that gives both clocks back exactly.
+#[must_use]
+pub fn timestamp_line(number: u64, time: FrameTime) -> String {
+    let seconds = |ns: i64| {
+        let sign = if ns < 0 { "-" } else { "" };
+        let ns = ns.unsigned_abs();
+        format!("{sign}{}.{:09}", ns / 1_000_000_000, ns % 1_000_000_000)
+    };
+    let (device, wall) = (seconds(time.device_ns), seconds(time.wall_ns));
+    format!("{number} {device} {WALL}{wall}\n")
+}
+
 /// Frame times out of a recording's clock: Unix times give the wall clock too, and a device
 /// clock that starts at `zero_ns`.
-pub(super) fn frame_time(ns: i64, zero_ns: i64) -> FrameTime {
+pub(in crate::capture) fn frame_time(ns: i64, zero_ns: i64) -> FrameTime {
     if zero_ns >= EPOCH_FROM_NS {
         FrameTime {
             device_ns: ns.saturating_sub(zero_ns),
@@ -63,10 +77,13 @@ pub(super) fn read_text(path: &Path) -> Result<String, CaptureError> {
     std::fs::read_to_string(path).map_err(io)
 }
 
-/// `timestamps.txt`: lines `frame seconds`, or `seconds` alone in the order of the frames.
+/// `timestamps.txt`: lines `frame seconds`, or `seconds` alone in the order of the frames. A third
+/// word `wall=seconds` is the wall clock of the frame; the second is then the device's.
 #[derive(Debug, Default)]
 pub(super) struct Timestamps {
     by_number: BTreeMap<u64, i64>,
+    /// Frames whose both clocks are listed.
+    both: BTreeMap<u64, FrameTime>,
     by_position: Vec<i64>,
     zero_ns: i64,
 }
@@ -108,6 +125,11 @@ impl Timestamps {
             match number {
                 Some(number) => {
                     times.by_number.insert(number, ns);
+                    let wall = words.get(2).and_then(|word| word.strip_prefix(WALL));
+                    if let Some(wall_ns) = wall.and_then(nanoseconds) {
+                        let device_ns = ns;
+                        times.both.insert(number, FrameTime { device_ns, wall_ns });
+                    }
                 }
                 None => times.by_position.push(ns),
             }
@@ -118,6 +140,9 @@ impl Timestamps {
 
     /// Time of the frame with this number at this position, where the file has one.
     pub(super) fn of(&self, number: u64, position: usize) -> Option<FrameTime> {
+        if let Some(time) = self.both.get(&number) {
+            return Some(*time);
+        }
         let ns = self
             .by_number
             .get(&number)
@@ -150,6 +175,27 @@ mod tests {
         );
         for not in ["", ".5", "1e9", "x", "1.2.3", "99999999999.0", "1.x", "-"] {
             assert_eq!(nanoseconds(not), None, "{not}");
+        }
+    }
+
+    #[test]
+    fn a_line_of_both_clocks_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("timestamps.txt");
+        let times = [
+            (0, 12_345_678_901_234, 1_700_000_000_000_000_001),
+            (7, -1, 0),
+            (9, 1_700_000_000_000_000_000, 1_700_000_000_000_000_003),
+        ]
+        .map(|(number, device_ns, wall_ns)| (number, FrameTime { device_ns, wall_ns }));
+        let lines: String = times
+            .iter()
+            .map(|(number, time)| timestamp_line(*number, *time))
+            .collect();
+        std::fs::write(&path, lines).unwrap();
+        let read = Timestamps::read(&path).unwrap();
+        for (number, time) in times {
+            assert_eq!(read.of(number, 99), Some(time));
         }
     }
 

@@ -58,6 +58,7 @@ pub(super) fn find(root: &Path) -> Result<Layout, CaptureError> {
         frames,
         sidecar: camera_json::find(root)?,
         unit_m: Some(UNIT_M),
+        invalid: &[0],
         suggestion: ", for TUM 517.3,516.5,318.6,255.3 (fr1), 520.9,521.0,325.1,249.7 (fr2) or \
                      535.4,539.2,320.1,247.6 (fr3)",
         name: name_of(root),
