@@ -6,6 +6,7 @@ use saint_live::contact_map::merged::ClaimMap;
 use saint_live::export::{ExportCloud, ExportFrame};
 use saint_live::fit::sphere::Sphere;
 use saint_live::frame::{Camera, ColorFrame};
+use saint_live::model::file::is_model;
 use saint_live::play::Frames;
 use saint_live::recording::{RecordingError, RecordingReader};
 use std::path::{Path, PathBuf};
@@ -30,6 +31,15 @@ pub struct Tape {
 impl Tape {
     /// Opens a recording at its first frame.
     pub fn open(path: &Path) -> Result<Self, Failure> {
+        if is_model(path) {
+            return Err(Failure::new(
+                Kind::Input,
+                format_args!(
+                    "{}: is a model of static clouds, it has no frames; use info or export",
+                    path.display()
+                ),
+            ));
+        }
         let reader = RecordingReader::open(path)?;
         Ok(Self {
             camera: reader.camera().clone(),

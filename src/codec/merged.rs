@@ -1,4 +1,4 @@
-//! Payload of a model with the paper's merged contact map (`FORMAT.md`, chapter 3).
+//! Payload of a model with the paper's merged contact map (`FORMAT.md`, chapter 4).
 
 use super::polar::{PolarCodecError, Reader, put_varint};
 use crate::contact_map::merged::LiteralMap;

@@ -30,7 +30,7 @@ const MAX_FILE: u64 = 8 << 30;
 
 const SCHEMA: &str = "\
 One object at one scale, little endian: u32 object, u32 scale (places in the lists of the `scene`
-message), then a payload that src/codec/FORMAT.md of saint-live describes in chapters 2 and 3.
+message), then a payload that src/codec/FORMAT.md of saint-live describes in chapters 2 and 4.
 ";
 
 /// Why a model file cannot be written or read.

@@ -7,7 +7,7 @@
 //! what is known of the objects ─► Scene ──────┘
 //! ```
 //! A *part* is one object at one scale: spheres and their contact map as a payload that decodes
-//! alone (`codec/FORMAT.md`, chapters 2 and 3). Parts stand in the file scale by scale, coarse to
+//! alone (`codec/FORMAT.md`, chapters 2 and 4). Parts stand in the file scale by scale, coarse to
 //! fine: the beginning of a file is the coarse scene.
 
 pub mod build;
