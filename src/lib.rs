@@ -30,6 +30,7 @@
 pub mod frame;
 
 pub mod capture;
+pub mod cloud;
 pub mod intrinsics;
 pub mod rig;
 
@@ -43,6 +44,8 @@ pub mod contact_map;
 pub mod codec;
 
 pub mod recording;
+
+pub mod model;
 
 pub mod pipeline;
 

@@ -1,8 +1,9 @@
-//! `info`: what is in a recording.
+//! `info`: what is in a recording or model.
 
 use super::args::InfoArgs;
 use super::failure::{Failure, Kind};
-use super::message;
+use super::{message, model};
+use saint_live::model::file::is_model;
 use saint_live::recording::{Info, RecordingError, RecordingReader};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -18,6 +19,9 @@ struct Shown<'a> {
 
 /// Reads the whole file, so that every damage is known, and says what is in it.
 pub fn run(args: &InfoArgs) -> Result<(), Failure> {
+    if is_model(&args.file) {
+        return model::info(&args.file, args.json);
+    }
     let mut reader = RecordingReader::open(&args.file)?;
     reader.verify();
     let infos = match reader.cameras() {

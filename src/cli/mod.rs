@@ -11,6 +11,7 @@ mod failure;
 mod info;
 mod machine;
 mod message;
+mod model;
 mod play;
 mod record;
 mod report;
@@ -56,6 +57,7 @@ fn dispatch(arguments: Arguments) -> Result<(), Failure> {
         Some(Command::Info(args)) => info::run(&args),
         Some(Command::Bench(args)) => bench::run(&args, arguments.quiet),
         Some(Command::Synthesize(args)) => synthesize::run(&args, arguments.quiet),
+        Some(Command::Model(args)) => model::run(&args, arguments.quiet),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             let mut command = Arguments::command();

@@ -6,6 +6,7 @@ use saint_live::contact_map::merged::ClaimMap;
 use saint_live::export::{ExportCloud, ExportFrame};
 use saint_live::fit::sphere::Sphere;
 use saint_live::frame::{Camera, ColorFrame, FrameTime};
+use saint_live::model::file::is_model;
 use saint_live::play::Frames;
 use saint_live::recording::{RecordingError, RecordingReader};
 use serde::de::DeserializeOwned;
@@ -28,9 +29,24 @@ pub struct Tape {
     fault: Option<String>,
 }
 
+/// Refuses what is a recording by its name only.
+fn no_model(path: &Path) -> Result<(), Failure> {
+    if is_model(path) {
+        return Err(Failure::new(
+            Kind::Input,
+            format_args!(
+                "{}: is a model of static clouds, it has no frames; use info or export",
+                path.display()
+            ),
+        ));
+    }
+    Ok(())
+}
+
 impl Tape {
     /// Opens a recording at its first frame; of several cameras the first, which is told.
     pub fn open(path: &Path) -> Result<Self, Failure> {
+        no_model(path)?;
         let tape = Self::of(RecordingReader::open(path)?, path);
         if let [first, _, ..] = tape.cameras() {
             tracing::warn!(
@@ -44,6 +60,7 @@ impl Tape {
 
     /// Opens one camera of a recording of several.
     pub fn open_camera(path: &Path, name: &str) -> Result<Self, Failure> {
+        no_model(path)?;
         Ok(Self::of(RecordingReader::open_camera(path, name)?, path))
     }
 

@@ -14,6 +14,14 @@ pub(crate) struct Cover {
     marks: Vec<u8>,
 }
 
+/// A sphere of the cover as it was.
+#[derive(Clone, Debug)]
+pub(crate) struct Former {
+    s: usize,
+    sphere: CloudSphere,
+    members: Vec<u32>,
+}
+
 impl Cover {
     /// The cover of `points` by `spheres`.
     pub fn new(points: &Remaining, spheres: &[CloudSphere]) -> Self {
@@ -33,30 +41,125 @@ impl Cover {
         cover
     }
 
-    /// Points that only sphere `s` covers.
-    fn exclusive(&self, s: usize) -> usize {
-        let alone = |&&i: &&u32| self.covers[i as usize] == 1;
-        self.members[s].iter().filter(alone).count()
-    }
-
     /// Drops the sphere with the fewest points of its own, again and again, while no more than
     /// `allowed` points stay uncovered. Greedy covering leaves such spheres: later ones cover
-    /// what an early one was chosen for.
+    /// what an early one was chosen for. O(sum of members + spheres²).
     pub fn prune(&mut self, allowed: usize) {
         let mut uncovered = self.covers.iter().filter(|&&c| c == 0).count();
-        while let Some((own, s)) = (0..self.spheres.len())
-            .map(|s| (self.exclusive(s), s))
-            .min()
-        {
-            if uncovered + own > allowed {
+        // the numbers of a point's spheres, xored: where there is one, that one
+        let mut owner = vec![0u32; self.covers.len()];
+        for (s, members) in self.members.iter().enumerate() {
+            for &i in members {
+                owner[i as usize] ^= s as u32;
+            }
+        }
+        let mut own = vec![0usize; self.spheres.len()];
+        for (&covers, &owner) in self.covers.iter().zip(&owner) {
+            if covers == 1 {
+                own[owner as usize] += 1;
+            }
+        }
+        let mut left: Vec<u32> = (0..self.spheres.len() as u32).collect();
+        while let Some(place) = (0..left.len()).min_by_key(|&k| own[left[k] as usize]) {
+            let s = left[place];
+            if uncovered + own[s as usize] > allowed {
                 break;
             }
-            uncovered += own;
-            for i in self.members.remove(s) {
-                self.covers[i as usize] -= 1;
+            uncovered += own[s as usize];
+            left.remove(place);
+            for i in std::mem::take(&mut self.members[s as usize]) {
+                let i = i as usize;
+                self.covers[i] -= 1;
+                owner[i] ^= s;
+                if self.covers[i] == 1 {
+                    own[owner[i] as usize] += 1;
+                }
             }
-            self.spheres.remove(s);
         }
+        self.spheres = left.iter().map(|&s| self.spheres[s as usize]).collect();
+        let members = left
+            .iter()
+            .map(|&s| std::mem::take(&mut self.members[s as usize]));
+        self.members = members.collect();
+    }
+
+    /// Points that only sphere `s` covers, for each `s`.
+    pub fn own_counts(&self) -> Vec<usize> {
+        let own = |members: &Vec<u32>| {
+            let alone = |&&i: &&u32| self.covers[i as usize] == 1;
+            members.iter().filter(alone).count()
+        };
+        self.members.iter().map(own).collect()
+    }
+
+    /// The points that only sphere `s` covers, into `places`.
+    pub fn own(&self, s: usize, places: &mut Vec<u32>) {
+        places.clear();
+        let alone = |i: &u32| self.covers[*i as usize] == 1;
+        places.extend(self.members[s].iter().copied().filter(alone));
+    }
+
+    /// Takes the members of sphere `s` away. `open` gets the points that nobody covers then,
+    /// as it has those nobody covered before.
+    pub fn take(&mut self, s: usize, open: &mut Vec<u32>) -> Former {
+        let none = Former {
+            s,
+            sphere: self.spheres[s],
+            members: Vec::new(),
+        };
+        self.put(none, open)
+    }
+
+    /// Puts `sphere` in the place of sphere `s`; gives what was there. `open` as in
+    /// [`Cover::take`].
+    pub fn replace(
+        &mut self,
+        s: usize,
+        sphere: CloudSphere,
+        points: &Remaining,
+        open: &mut Vec<u32>,
+    ) -> Former {
+        let mut members = Vec::new();
+        points.list_touching(&sphere, &mut self.marks, &mut members);
+        self.put(Former { s, sphere, members }, open)
+    }
+
+    /// The points that no sphere covers.
+    pub fn uncovered(&self) -> Vec<u32> {
+        let bare = (0u32..).zip(&self.covers).filter(|&(_, &c)| c == 0);
+        bare.map(|(i, _)| i).collect()
+    }
+
+    fn put(&mut self, new: Former, open: &mut Vec<u32>) -> Former {
+        for &i in &self.members[new.s] {
+            self.covers[i as usize] -= 1;
+        }
+        for &i in &new.members {
+            self.covers[i as usize] += 1;
+        }
+        let former = Former {
+            s: new.s,
+            sphere: std::mem::replace(&mut self.spheres[new.s], new.sphere),
+            members: std::mem::replace(&mut self.members[new.s], new.members),
+        };
+        open.retain(|&i| self.covers[i as usize] == 0);
+        // those that were open already are none of the former's
+        let bare = |i: &u32| self.covers[*i as usize] == 0;
+        open.extend(former.members.iter().copied().filter(bare));
+        former
+    }
+
+    /// Takes the steps back, the last first.
+    pub fn undo(&mut self, steps: Vec<Former>) {
+        for step in steps.into_iter().rev() {
+            self.put(step, &mut Vec::new());
+        }
+    }
+
+    /// Forgets sphere `s`, which has no members.
+    pub fn forget(&mut self, s: usize) {
+        self.spheres.remove(s);
+        self.members.remove(s);
     }
 
     /// Gives every covered point to the nearest of its spheres: `assignment[id]`, by number in
@@ -66,11 +169,16 @@ impl Cover {
         for (s, (sphere, members)) in self.spheres.iter().zip(&self.members).enumerate() {
             for &i in members {
                 let i = i as usize;
+                let place = &mut assignment[points.id[i] as usize];
+                if self.covers[i] == 1 {
+                    *place = s as u32;
+                    continue;
+                }
                 // to first order: the points are within contact distance
                 let distance = sphere.value(points.at(i)).abs();
                 if distance < nearest[i] {
                     nearest[i] = distance;
-                    assignment[points.id[i] as usize] = s as u32;
+                    *place = s as u32;
                 }
             }
         }

@@ -5,6 +5,7 @@ pub mod cloud;
 mod cold;
 pub mod contact_distance;
 mod cover;
+mod fewer;
 pub mod framewise;
 pub mod live;
 mod merge;

@@ -259,14 +259,15 @@ impl CellFit {
     }
 
     /// Refits by moments of the contacts while that gains contacts.
-    fn refitted(&self, start: CloudSphere) -> (usize, CloudSphere) {
+    fn refitted(&mut self, start: CloudSphere) -> (usize, CloudSphere) {
         let mut best = (0, start);
         if self.remaining.resolves(&start) {
             best.0 = self.remaining.touching(&start);
         }
         for round in 0..REFIT_ROUNDS {
             let widen = if round == 0 { 2.0 } else { 1.0 };
-            let Some(fit) = self.remaining.moments(&best.1, widen).fit() else {
+            let scratch = (&mut self.marks, &mut self.places);
+            let Some(fit) = self.remaining.moments(&best.1, widen, scratch).fit() else {
                 break;
             };
             if !self.remaining.resolves(&fit.sphere) {
