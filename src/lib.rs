@@ -39,6 +39,10 @@ pub mod fit;
 
 pub mod contact_map;
 
+pub mod features;
+
+pub mod loss;
+
 pub mod codec;
 
 pub mod recording;
