@@ -54,3 +54,8 @@ pub mod play;
 pub mod export;
 
 pub mod quality;
+
+pub mod experiment;
+
+#[cfg(feature = "capi")]
+pub mod capi;

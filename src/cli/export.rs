@@ -33,6 +33,7 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         ExportArg::Exr => Format::Exr,
         ExportArg::Png => Format::Png,
         ExportArg::Png16 => Format::Png16,
+        ExportArg::Npz => Format::Npz,
     };
     let mut tape = Tape::open(&args.file)?;
     let from = args.from;

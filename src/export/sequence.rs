@@ -1,6 +1,6 @@
 //! Where exported frames go: one file each into a folder, or one file.
 
-use super::{ExportCloud, ExportError, ExportFrame, exr, pcd, ply, png, png16};
+use super::{ExportCloud, ExportError, ExportFrame, exr, npz, pcd, ply, png, png16};
 use crate::capture::CaptureError;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -22,17 +22,20 @@ pub enum Format {
     Png,
     /// Depth: 16-bit PNG in the sensor's unit.
     Png16,
+    /// Points with normals and features: NumPy arrays.
+    Npz,
 }
 
 impl Format {
     /// All formats, as the command line names them.
-    pub const NAMES: [(&'static str, Self); 6] = [
+    pub const NAMES: [(&'static str, Self); 7] = [
         ("ply", Self::Ply),
         ("spheres", Self::Spheres),
         ("pcd", Self::Pcd),
         ("exr", Self::Exr),
         ("png", Self::Png),
         ("png16", Self::Png16),
+        ("npz", Self::Npz),
     ];
 
     /// Whether a frame of points without a grid can be written.
@@ -42,7 +45,7 @@ impl Format {
     pub fn check_cloud(self, sequence: u64) -> Result<(), ExportError> {
         let name = Self::NAMES.iter().find(|(_, format)| *format == self);
         match self {
-            Self::Ply | Self::Spheres | Self::Pcd => Ok(()),
+            Self::Ply | Self::Spheres | Self::Pcd | Self::Npz => Ok(()),
             Self::Exr | Self::Png | Self::Png16 => Err(ExportError::NoGrid {
                 sequence,
                 format: name.map_or("an image", |(name, _)| name),
@@ -58,6 +61,7 @@ impl Format {
             Self::Pcd => "pcd",
             Self::Exr => "exr",
             Self::Png | Self::Png16 => "png",
+            Self::Npz => "npz",
         }
     }
 }
@@ -181,6 +185,9 @@ impl FileSequence {
             Format::Pcd => {
                 pcd::cloud_points(cloud, buffer).map_err(|what| self.encode_error(&path, what))?
             }
+            Format::Npz => {
+                npz::cloud_points(cloud, buffer).map_err(|what| self.encode_error(&path, what))?
+            }
             _ => ply::cloud_points(cloud, buffer),
         }
         put(&path, &self.buffer, self.overwrite)
@@ -241,6 +248,7 @@ impl FileSequence {
                 Ok(())
             }
             Format::Pcd => pcd::points(frame, buffer),
+            Format::Npz => npz::points(frame, buffer),
             Format::Png => png::picture(frame, buffer),
             Format::Exr => return self.image(frame, path, exr::depth),
             Format::Png16 => {
