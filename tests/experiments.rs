@@ -38,7 +38,14 @@ fn each_experiment_prints_tables_and_writes_its_curve() {
         "loss",
     ] {
         let svg = folder.path().join(format!("{name}.svg"));
-        let mut arguments = vec!["experiment", name, text(&frames), "-o", text(&svg), "--json"];
+        let mut arguments = vec![
+            "experiment",
+            name,
+            text(&frames),
+            "-o",
+            text(&svg),
+            "--json",
+        ];
         arguments.extend(["--seeds", "2", "--max-points", "800", "-q"]);
         match name {
             "loss" => arguments.extend(["-n", "2"]),
@@ -59,7 +66,10 @@ fn each_experiment_prints_tables_and_writes_its_curve() {
             }
         }
         let picture = std::fs::read_to_string(&svg).unwrap();
-        assert!(picture.starts_with("<svg") && picture.contains("polyline"), "{name}");
+        assert!(
+            picture.starts_with("<svg") && picture.contains("polyline"),
+            "{name}"
+        );
         if name != "loss" {
             let data = report["data"].to_string();
             // 900 points of 0.12 m in millimetres
@@ -70,9 +80,22 @@ fn each_experiment_prints_tables_and_writes_its_curve() {
 
 #[test]
 fn a_newcomer_needs_no_data() {
-    let arguments = ["experiment", "schemes", "--seeds", "1", "--max-points", "300"];
+    let arguments = [
+        "experiment",
+        "schemes",
+        "--seeds",
+        "1",
+        "--max-points",
+        "300",
+    ];
     let (tables, stderr) = run(arguments, 0);
-    for word in ["paper", "method", "pattern %", "progressive", "synthetic walk"] {
+    for word in [
+        "paper",
+        "method",
+        "pattern %",
+        "progressive",
+        "synthetic walk",
+    ] {
         assert!(tables.contains(word), "no {word} in {tables}");
     }
     assert!(stderr.contains("contact distance"), "{stderr}");

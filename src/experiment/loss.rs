@@ -126,9 +126,10 @@ pub fn run(sequences: &[DepthFrames], effort: Effort) -> Result<Report, Experime
             .filter(|p| p.owner != UNASSIGNED)
             .count();
         data.push(format!(
-            "{}: {} frames, {} training and {} held-out pixels, {:.1} % covered by spheres",
+            "{}: {} frames, contact distance {}, {} training and {} held-out pixels, {:.1} % covered by spheres",
             sequence.name,
             sequence.frames.len(),
+            sequence.contact,
             train.pixels.len(),
             test.pixels.len(),
             100.0 * covered as f64 / train.pixels.len() as f64
@@ -195,7 +196,11 @@ pub fn run(sequences: &[DepthFrames], effort: Effort) -> Result<Report, Experime
 /// Pixels to learn from and to judge by. The draw is the same for every seed.
 fn sets(sequence: &DepthFrames) -> Result<(Set, Set), ExperimentError> {
     let camera = &sequence.camera;
-    let mut modeler = Modeler::new(camera, &FitOptions::default());
+    let options = FitOptions {
+        contact_distance: sequence.contact,
+        ..FitOptions::default()
+    };
+    let mut modeler = Modeler::new(camera, &options);
     let mut saint = SaintFrame::default();
     let (rays, validity) = (Rays::new(camera), Validity::new(camera));
     let mut chance = Chance::new(7);

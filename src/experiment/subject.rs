@@ -48,6 +48,7 @@ impl Subject {
         let stride = finite.len().div_ceil(max_points.max(1)).max(1);
         let points: Vec<DVec3> = finite.into_iter().step_by(stride).collect();
         let diagonal = diagonal(&points);
+        let share = ContactDistance::constant(two_digits(diagonal * CONTACT_SHARE));
         if points.len() < 50 || diagonal <= 0.0 {
             return Err(ExperimentError::Data(format!(
                 "{name} has {} usable points over {diagonal} m; an experiment needs at least 50 that are not all in one place",
@@ -58,7 +59,7 @@ impl Subject {
             name: name.to_owned(),
             points,
             is_frame: false,
-            contact: contact.unwrap_or(ContactDistance::constant(diagonal * CONTACT_SHARE)),
+            contact: contact.unwrap_or(share),
             cube_size_m: diagonal * CUBE_SHARE,
         })
     }
@@ -114,6 +115,16 @@ impl Subject {
     }
 }
 
+/// `v` (above 0) to two significant digits, so that it can be said and given again.
+fn two_digits(v: f64) -> f64 {
+    let place = v.log10().floor() as i32 - 1;
+    // divided by a whole power of ten, so that the result is the nearest double
+    match place {
+        ..0 => (v * 10f64.powi(-place)).round() / 10f64.powi(-place),
+        0.. => (v / 10f64.powi(place)).round() * 10f64.powi(place),
+    }
+}
+
 /// Length of the bounding box's diagonal.
 fn diagonal(points: &[DVec3]) -> f64 {
     let low = points.iter().fold(DVec3::MAX, |a, b| a.min(*b));
@@ -134,6 +145,8 @@ pub struct DepthFrames {
     pub camera: Camera,
     /// The frames, in time.
     pub frames: Vec<DepthFrame>,
+    /// Contact distance.
+    pub contact: ContactDistance,
     /// What the frames would be without noise, where it is known: planar depth of each pixel,
     /// metres, 0 for nothing.
     pub truth_m: Option<Vec<Vec<f64>>>,
@@ -162,6 +175,7 @@ pub fn synthetic_frames(count: usize, size: (u32, u32)) -> Result<DepthFrames, E
     Ok(DepthFrames {
         name: "synthetic walk".to_owned(),
         camera: source.camera().clone(),
+        contact: ContactDistance::default(),
         frames,
         truth_m: Some(truth_m),
     })

@@ -58,7 +58,11 @@ pub fn subjects(args: &ExperimentArgs) -> Result<Vec<Subject>, Failure> {
 pub fn sequences(args: &ExperimentArgs) -> Result<Vec<DepthFrames>, Failure> {
     if args.data.is_empty() {
         let count = args.frames.map_or(SYNTHETIC_FRAMES.0, |n| n as usize);
-        return Ok(vec![synthetic_frames(count, SYNTHETIC_FRAMES.1)?]);
+        let frames = synthetic_frames(count, SYNTHETIC_FRAMES.1)?;
+        return Ok(vec![DepthFrames {
+            contact: args.contact_distance.unwrap_or(frames.contact),
+            ..frames
+        }]);
     }
     let frames = args.frames.unwrap_or(LOSS_FRAMES);
     args.data
@@ -102,6 +106,7 @@ fn sequence(path: &Path, args: &ExperimentArgs, count: u64) -> Result<DepthFrame
     Ok(DepthFrames {
         name: name(path),
         camera: source.camera().clone(),
+        contact: args.contact_distance.unwrap_or_default(),
         frames,
         truth_m: None,
     })
