@@ -30,6 +30,7 @@
 pub mod frame;
 
 pub mod capture;
+pub mod cloud;
 pub mod intrinsics;
 
 pub mod deproject;
@@ -46,6 +47,8 @@ pub mod loss;
 pub mod codec;
 
 pub mod recording;
+
+pub mod model;
 
 pub mod pipeline;
 

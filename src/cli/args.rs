@@ -1,8 +1,9 @@
 //! The arguments as they are typed.
 
-use super::values::{Length, duration, factor, length, length_or_zero, size};
+use super::values::{Length, MapResolution, duration, factor, length, length_or_zero, size};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
+use saint_live::cloud::LengthUnit;
 use saint_live::fit::contact_distance::ContactDistance;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -16,7 +17,8 @@ Examples:
   saint-live --device /dev/video0 -o scene.mcap     capture until Ctrl-C
   saint-live --device synthetic:room -n 300         no camera needed
   saint-live replay recordings/static_room -o x.mcap --max-error 5mm
-  saint-live export x.mcap --to ply -o frames/";
+  saint-live export x.mcap --to ply -o frames/
+  saint-live model kidney.ply --unit mm --contact-distance 1mm -o kidney.mcap";
 
 /// Turns a live depth camera into a stream of spheres and contact maps.
 #[derive(Debug, Parser)]
@@ -55,6 +57,8 @@ pub enum Command {
     Experiment(ExperimentArgs),
     /// Write a recording of a synthetic scene (EXR folder).
     Synthesize(SynthesizeArgs),
+    /// Model static clouds of points: objects, or a scene of several.
+    Model(ModelArgs),
     /// Print a completion script for a shell.
     Completions {
         /// The shell.
@@ -329,10 +333,87 @@ pub struct PlayArgs {
     pub stats: bool,
 }
 
+/// `model`.
+#[derive(Debug, Args)]
+pub struct ModelArgs {
+    /// Clouds: PLY, PCD, OBJ, XYZ or NumPy files. Each is one object of the scene, named like
+    /// its file.
+    #[arg(required = true, value_name = "CLOUD")]
+    pub clouds: Vec<PathBuf>,
+    /// Write the model (MCAP) to this file, or to standard output with `-`.
+    #[arg(short, long, value_name = "FILE|-")]
+    pub output: Option<PathBuf>,
+    /// Replace an output file that exists.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Unit of the coordinates: um, mm, cm, m, km, in, ft [default: what the file says, or m].
+    #[arg(long)]
+    pub unit: Option<LengthUnit>,
+    /// How spheres are found: through random points, the best kept; or cell by cell.
+    #[arg(long, value_enum, default_value_t = CloudSchemeArg::Random)]
+    pub scheme: CloudSchemeArg,
+    /// Most spheres of an object.
+    #[arg(long, value_name = "N", default_value_t = 65_000, value_parser = clap::value_parser!(u32).range(1..=65_000))]
+    pub max_spheres: u32,
+    /// Numbers of spheres, coarse to fine: one model at each, with the smallest contact distance
+    /// at which so many spheres explain 99.9 % of the points.
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', conflicts_with = "max_spheres", value_parser = clap::value_parser!(u32).range(1..=65_000))]
+    pub scales: Vec<u32>,
+    /// How far from its sphere a point may lie: 1mm [default: half a percent of the object's
+    /// diagonal]. With --scales no scale goes below it [default: none].
+    #[arg(long, value_name = "LENGTH[+Kz2]")]
+    pub contact_distance: Option<ContactDistance>,
+    /// Contact map: one that keeps every claim, or one with a single sphere number in each
+    /// cell, as in the paper, where spheres displace each other.
+    #[arg(long, value_enum, default_value_t = CloudMapArg::Claims)]
+    pub contact_map: CloudMapArg,
+    /// Cells of the contact map. Claims: side of a cell, a length with its unit [default: half
+    /// the contact distance]. Merged: number of cells over 180 degrees [default: 1024].
+    #[arg(long, value_name = "LENGTH|N")]
+    pub map_resolution: Option<MapResolution>,
+    /// Distance of neighbouring cell centres, with `--scheme progressive` [default: an eighth of
+    /// the object's diagonal].
+    #[arg(long, value_name = "LENGTH", value_parser = length)]
+    pub cube_size: Option<Length>,
+    /// Most spheres fitted in one cell, with `--scheme progressive`.
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u16).range(1..))]
+    pub spheres_per_cube: u16,
+    /// Lattice of the cells, with `--scheme progressive`.
+    #[arg(long, value_enum, default_value_t = PackingArg::Hex)]
+    pub packing: PackingArg,
+    /// Seed of the draws, with `--scheme random`: same seed, same output.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Threads; any number gives the same output.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Print what was done as one JSON object on standard output.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The paper's schemes for a whole cloud.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CloudSchemeArg {
+    /// Through randomly drawn points, the best kept: for objects.
+    Random,
+    /// Cell by cell, small spheres to large: for scenes.
+    Progressive,
+}
+
+/// Contact map of a cloud.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CloudMapArg {
+    /// Every sphere keeps its cells.
+    Claims,
+    /// One sparse map of sphere numbers for all spheres.
+    Merged,
+}
+
 /// `export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// The recording.
+    /// The recording or model.
     pub file: PathBuf,
     /// Form of the files.
     #[arg(long, value_enum)]
@@ -349,6 +430,12 @@ pub struct ExportArgs {
     /// Replace files that exist.
     #[arg(long)]
     pub overwrite: bool,
+    /// Of a model: the scale made for this many spheres [default: the finest].
+    #[arg(long, value_name = "N")]
+    pub scale: Option<u32>,
+    /// Of a model: this object only.
+    #[arg(long, value_name = "NAME")]
+    pub object: Option<String>,
 }
 
 /// Form of exported files.

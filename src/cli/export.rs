@@ -3,9 +3,10 @@
 use super::args::{ExportArg, ExportArgs};
 use super::failure::{Failure, Kind};
 use super::tape::Tape;
-use super::{message, signals, status};
+use super::{message, model, signals, status};
 use saint_live::capture::CaptureError;
 use saint_live::export::{ExportError, FileSequence, Format, Output};
+use saint_live::model::file::is_model;
 use std::sync::atomic::Ordering;
 
 impl From<ExportError> for Failure {
@@ -25,6 +26,15 @@ impl From<ExportError> for Failure {
 
 /// Writes one file per frame into a folder, or one file where `-o` ends like a file of the format.
 pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
+    if is_model(&args.file) {
+        return model::export(args, quiet);
+    }
+    if args.scale.is_some() || args.object.is_some() {
+        return Err(Failure::usage(format_args!(
+            "{} is a recording: scales and objects are in models; choose frames with --from and -n",
+            args.file.display()
+        )));
+    }
     let stop = signals::stop_flag()?;
     let format = match args.to {
         ExportArg::Ply => Format::Ply,

@@ -1,6 +1,8 @@
 //! How a command ends when it does not end well, and the exit code that says so.
 
 use saint_live::capture::CaptureError;
+use saint_live::cloud::CloudError;
+use saint_live::model::file::ModelFileError;
 use saint_live::pipeline::PipelineError;
 use saint_live::recording::RecordingError;
 use std::fmt;
@@ -101,6 +103,24 @@ impl From<RecordingError> for Failure {
             | RecordingError::Write { .. }
             | RecordingError::TooLarge { .. } => Kind::Output,
             RecordingError::Finished { .. } | RecordingError::Container { .. } => Kind::Failure,
+            _ => Kind::Input,
+        };
+        Self::new(kind, error)
+    }
+}
+
+impl From<CloudError> for Failure {
+    fn from(error: CloudError) -> Self {
+        Self::new(Kind::Input, error)
+    }
+}
+
+impl From<ModelFileError> for Failure {
+    fn from(error: ModelFileError) -> Self {
+        let kind = match error {
+            ModelFileError::Output(error) => return error.into(),
+            ModelFileError::Container { .. } => Kind::Failure,
+            ModelFileError::NoSuch { .. } => Kind::Usage,
             _ => Kind::Input,
         };
         Self::new(kind, error)

@@ -1,13 +1,17 @@
-//! `info`: what is in a recording.
+//! `info`: what is in a recording or model.
 
 use super::args::InfoArgs;
 use super::failure::{Failure, Kind};
-use super::message;
+use super::{message, model};
+use saint_live::model::file::is_model;
 use saint_live::recording::RecordingReader;
 use std::fmt::Write as _;
 
 /// Reads the whole file, so that every damage is known, and says what is in it.
 pub fn run(args: &InfoArgs) -> Result<(), Failure> {
+    if is_model(&args.file) {
+        return model::info(&args.file, args.json);
+    }
     let mut reader = RecordingReader::open(&args.file)?;
     reader.verify();
     let info = reader.info();

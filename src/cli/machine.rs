@@ -27,7 +27,16 @@ impl Machine {
 
 /// Memory the process holds now, MB (10⁶ bytes); 0 where the system does not say.
 pub fn resident_mb() -> f64 {
-    let kib = proc_line("/proc/self/status", "VmRSS").and_then(|text| {
+    status_mb("VmRSS")
+}
+
+/// The most memory the process has held, MB (10⁶ bytes); 0 where the system does not say.
+pub fn peak_mb() -> f64 {
+    status_mb("VmHWM")
+}
+
+fn status_mb(key: &str) -> f64 {
+    let kib = proc_line("/proc/self/status", key).and_then(|text| {
         let number = text.split_whitespace().next()?;
         number.parse::<f64>().ok()
     });

@@ -12,6 +12,7 @@ mod failure;
 mod info;
 mod machine;
 mod message;
+mod model;
 mod play;
 mod report;
 mod run;
@@ -56,6 +57,7 @@ fn dispatch(arguments: Arguments) -> Result<(), Failure> {
         Some(Command::Bench(args)) => bench::run(&args, arguments.quiet),
         Some(Command::Experiment(args)) => experiment::run(&args, arguments.quiet),
         Some(Command::Synthesize(args)) => synthesize::run(&args, arguments.quiet),
+        Some(Command::Model(args)) => model::run(&args, arguments.quiet),
         Some(Command::Completions { shell }) => {
             let mut script = Vec::new();
             let mut command = Arguments::command();

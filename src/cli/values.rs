@@ -1,10 +1,38 @@
 //! Values with units: `5mm`, `33ms`, `640x480`.
 
+use std::str::FromStr;
 use std::time::Duration;
 
 /// A length, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Length(pub f64);
+
+/// Cells of a contact map, as typed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MapResolution {
+    /// Side of a cell.
+    Side(Length),
+    /// Cells over 180 degrees.
+    Cells(u32),
+}
+
+impl FromStr for MapResolution {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Ok(cells) = text.trim().parse::<u32>() {
+            return match cells {
+                1..=32_768 => Ok(Self::Cells(cells)),
+                _ => Err("a number of cells is 1 to 32768".to_owned()),
+            };
+        }
+        let has_unit = text.trim().ends_with('m');
+        match length(text) {
+            Ok(side) if has_unit => Ok(Self::Side(side)),
+            _ => Err("a length with its unit (0.5mm), or a whole number of cells".to_owned()),
+        }
+    }
+}
 
 /// A number followed by one of `units`, in the unit that has the factor 1.
 fn number_with_unit(text: &str, units: &[(&str, f64)], bare: Option<f64>) -> Option<f64> {
@@ -96,6 +124,16 @@ mod tests {
         }
         assert_eq!(length_or_zero("0"), Ok(Length(0.0)));
         assert_eq!(length_or_zero("3mm"), Ok(Length(0.003)));
+    }
+
+    #[test]
+    fn map_resolutions_are_lengths_or_counts() {
+        let read = |text: &str| text.parse::<MapResolution>();
+        assert_eq!(read("0.5mm"), Ok(MapResolution::Side(Length(0.0005))));
+        assert_eq!(read("512"), Ok(MapResolution::Cells(512)));
+        for text in ["0", "40000", "0.5", "-1mm", "mm", "1e3"] {
+            assert!(read(text).is_err(), "{text}");
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! [`residual`], each a model written once for both directions over the [`range_coder`]; then
 //! [`encoder`] and [`decoder`], which walk them in the same order.
 
+pub mod merged;
 pub mod polar;
 
 use crate::frame::FrameTime;

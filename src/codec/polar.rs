@@ -26,11 +26,13 @@ pub enum PolarCodecError {
     },
     /// Not this format.
     #[error(
-        "the payload starts with {found:02x?}, a polar payload with {MAGIC:02x?}; it is of another kind"
+        "the payload starts with {found:02x?}, a polar payload with {wanted:02x?}; it is of another kind"
     )]
     Magic {
         /// The bytes found.
         found: [u8; 4],
+        /// The bytes of this kind.
+        wanted: [u8; 4],
     },
     /// A version or flag from the future.
     #[error(
@@ -119,43 +121,12 @@ pub fn encode(map: &ClaimMap, bytes: &mut Vec<u8>) -> Result<(), PolarCodecError
 /// # Errors
 /// Any bytes that [`encode`] would not have written.
 pub fn decode(bytes: &[u8]) -> Result<ClaimMap, PolarCodecError> {
-    let mut reader = Reader { bytes, at: 0 };
-    let magic = reader.array::<4>("magic")?;
-    if magic != MAGIC {
-        return Err(PolarCodecError::Magic { found: magic });
-    }
-    let [version, flags] = reader.array("version")?;
-    if version != VERSION || flags != 0 {
-        return Err(PolarCodecError::Unsupported { version, flags });
-    }
-    // the check first: nothing below it need guess whether bytes were damaged
-    let body = bytes
-        .len()
-        .checked_sub(CHECK_BYTES)
-        .filter(|&body| body >= reader.at)
-        .ok_or(PolarCodecError::Truncated {
-            what: "check",
-            length: bytes.len(),
-        })?;
-    let mut tail = Reader { bytes, at: body };
-    let found = u32::from_le_bytes(tail.array("check")?);
-    let computed = crc32fast::hash(&bytes[..body]);
-    if found != computed {
-        return Err(PolarCodecError::Check { found, computed });
-    }
-    reader.bytes = &bytes[..body];
+    let mut reader = Reader::checked(bytes, MAGIC, VERSION)?;
     read_body(&mut reader)
 }
 
 fn read_body(reader: &mut Reader<'_>) -> Result<ClaimMap, PolarCodecError> {
-    let mut origin = [0.0; 3];
-    for v in &mut origin {
-        *v = f64::from_le_bytes(reader.array("origin")?);
-    }
-    let origin = DVec3::from_array(origin);
-    if !origin.is_finite() {
-        return Err(reader.value("origin"));
-    }
+    let origin = reader.origin()?;
     let step_m = f32::from_le_bytes(reader.array("step")?);
     if !usable_step(step_m) {
         return Err(reader.value("step"));
@@ -194,10 +165,8 @@ fn read_body(reader: &mut Reader<'_>) -> Result<ClaimMap, PolarCodecError> {
         let end = u32::try_from(map.cells.len()).map_err(|_| reader.value("number of claims"))?;
         map.starts.push(end);
     }
-    match reader.left() {
-        0 => Ok(map),
-        extra => Err(PolarCodecError::Extra { extra }),
-    }
+    reader.end()?;
+    Ok(map)
 }
 
 fn read_claims(reader: &mut Reader<'_>, cells: &mut Vec<PatchCell>) -> Result<(), PolarCodecError> {
@@ -303,7 +272,7 @@ fn unzigzag(v: u32) -> i64 {
     i64::from(v >> 1) ^ -i64::from(v & 1)
 }
 
-fn put_varint(bytes: &mut Vec<u8>, mut v: u32) {
+pub(super) fn put_varint(bytes: &mut Vec<u8>, mut v: u32) {
     while v >= 0x80 {
         bytes.push(v as u8 | 0x80);
         v >>= 7;
@@ -312,17 +281,76 @@ fn put_varint(bytes: &mut Vec<u8>, mut v: u32) {
 }
 
 /// A place in the bytes; every read checks what is left.
-struct Reader<'a> {
+pub(super) struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl Reader<'_> {
-    fn left(&self) -> usize {
+impl<'a> Reader<'a> {
+    /// The fields of a payload, its first six bytes and its check passed over. The check is
+    /// looked at before all else: nothing behind it need guess whether bytes were damaged.
+    pub(super) fn checked(
+        bytes: &'a [u8],
+        wanted: [u8; 4],
+        known: u8,
+    ) -> Result<Self, PolarCodecError> {
+        let mut reader = Self { bytes, at: 0 };
+        let found = reader.array::<4>("magic")?;
+        if found != wanted {
+            return Err(PolarCodecError::Magic { found, wanted });
+        }
+        let [version, flags] = reader.array("version")?;
+        if version != known || flags != 0 {
+            return Err(PolarCodecError::Unsupported { version, flags });
+        }
+        let body = bytes
+            .len()
+            .checked_sub(CHECK_BYTES)
+            .filter(|&body| body >= reader.at)
+            .ok_or(PolarCodecError::Truncated {
+                what: "check",
+                length: bytes.len(),
+            })?;
+        let mut tail = Self { bytes, at: body };
+        let found = u32::from_le_bytes(tail.array("check")?);
+        let computed = crc32fast::hash(&bytes[..body]);
+        if found != computed {
+            return Err(PolarCodecError::Check { found, computed });
+        }
+        reader.bytes = &bytes[..body];
+        Ok(reader)
+    }
+
+    /// Zero of all coordinates.
+    pub(super) fn origin(&mut self) -> Result<DVec3, PolarCodecError> {
+        let mut origin = [0.0; 3];
+        for v in &mut origin {
+            *v = f64::from_le_bytes(self.array("origin")?);
+        }
+        let origin = DVec3::from_array(origin);
+        if origin.is_finite() {
+            Ok(origin)
+        } else {
+            Err(self.value("origin"))
+        }
+    }
+
+    /// All fields are read: no byte may be left.
+    pub(super) fn end(&self) -> Result<(), PolarCodecError> {
+        match self.left() {
+            0 => Ok(()),
+            extra => Err(PolarCodecError::Extra { extra }),
+        }
+    }
+
+    pub(super) fn left(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    fn array<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], PolarCodecError> {
+    pub(super) fn array<const N: usize>(
+        &mut self,
+        what: &'static str,
+    ) -> Result<[u8; N], PolarCodecError> {
         let taken = self.bytes[self.at..].first_chunk::<N>().copied();
         let taken = taken.ok_or(PolarCodecError::Truncated {
             what,
@@ -332,7 +360,7 @@ impl Reader<'_> {
         Ok(taken)
     }
 
-    fn varint(&mut self, what: &'static str) -> Result<u32, PolarCodecError> {
+    pub(super) fn varint(&mut self, what: &'static str) -> Result<u32, PolarCodecError> {
         let mut value = 0u64;
         for shift in (0..35).step_by(7) {
             let [byte] = self.array(what)?;
@@ -349,11 +377,11 @@ impl Reader<'_> {
         Err(self.value(what))
     }
 
-    fn value(&self, what: &'static str) -> PolarCodecError {
+    pub(super) fn value(&self, what: &'static str) -> PolarCodecError {
         PolarCodecError::Value { what, at: self.at }
     }
 
-    fn count(&self, what: &'static str, count: usize) -> PolarCodecError {
+    pub(super) fn count(&self, what: &'static str, count: usize) -> PolarCodecError {
         PolarCodecError::Count {
             what,
             count,

@@ -158,11 +158,12 @@ impl FromStr for ContactDistance {
 impl fmt::Display for ContactDistance {
     /// Text that [`FromStr`] reads back to the same value.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mm = self.floor_m * 1e3;
-        if mm / 1e3 == self.floor_m {
-            write!(f, "{mm}mm")?;
-        } else {
-            write!(f, "{}", self.floor_m)?;
+        // the fewest digits that read back to the same double: 0.043 mm, not 0.043000000000000003
+        let exact = |text: &String| length_m(text) == Some(self.floor_m);
+        let millimetres = (0..12).map(|digits| format!("{:.digits$}mm", self.floor_m * 1e3));
+        match millimetres.into_iter().find(exact) {
+            Some(text) => f.write_str(&text)?,
+            None => write!(f, "{}", self.floor_m)?,
         }
         if self.per_z2 != 0.0 {
             write!(f, "+{:e}z2", self.per_z2)?;

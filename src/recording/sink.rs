@@ -62,6 +62,44 @@ enum Output {
     Stream(Box<dyn Write + Send>),
 }
 
+impl Target {
+    /// Writes a whole file at once and waits until it is on the disk.
+    ///
+    /// # Errors
+    /// The target exists, cannot be opened, or cannot be written; nothing is kept then.
+    pub fn put(self, bytes: &[u8]) -> Result<(), RecordingError> {
+        let target = self.name();
+        let mut sink = Sink::open(self)?;
+        let written = sink.write_all(bytes).and_then(|()| sink.flush());
+        written.and_then(|()| sink.sync()).map_err(|source| {
+            sink.keep(0);
+            let (frames, bytes) = (0, 0);
+            match source.kind() {
+                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                    RecordingError::DiskFull {
+                        target,
+                        frames,
+                        bytes,
+                        source,
+                    }
+                }
+                io::ErrorKind::BrokenPipe => RecordingError::Closed {
+                    target,
+                    frames,
+                    bytes,
+                    source,
+                },
+                _ => RecordingError::Write {
+                    target,
+                    frames,
+                    bytes,
+                    source,
+                },
+            }
+        })
+    }
+}
+
 /// The opened target. Never writes by itself when dropped, so a failed write stays where it failed.
 pub(super) struct Sink {
     output: Output,
