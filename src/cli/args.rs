@@ -498,7 +498,7 @@ pub struct ExperimentArgs {
     /// Which experiment.
     #[arg(value_enum)]
     pub name: ExperimentName,
-    /// Clouds (PLY), and whatever `replay` takes; without any, synthetic objects and frames.
+    /// Clouds (PLY, PCD, OBJ, XYZ, NumPy), and whatever `replay` takes; without any, synthetic objects and frames.
     pub data: Vec<PathBuf>,
     /// Write the curve to this file (SVG).
     #[arg(short, long, value_name = "FILE.svg")]
@@ -525,9 +525,10 @@ pub struct ExperimentArgs {
     /// Chamfer distance at which sizes are compared, per cent of the diagonal [default: 0.1].
     #[arg(long, value_name = "PERCENT", value_parser = factor)]
     pub chamfer: Option<f64>,
-    /// Unit of the clouds' coordinates (mm as 1mm) [default: what the file says, else metres].
-    #[arg(long, value_name = "LENGTH", value_parser = length)]
-    pub unit: Option<Length>,
+    /// Unit of the clouds' coordinates: um, mm, cm, m, km, in, ft [default: what the file says,
+    /// or m].
+    #[arg(long)]
+    pub unit: Option<LengthUnit>,
     #[command(flatten)]
     pub camera: CameraArgs,
 }

@@ -9,7 +9,11 @@
 //! | `sphere` | n | i4 | row of the point's sphere in `spheres`, −1 for none |
 //! | `spheres` | m, 4 | f4 | centre about `origin` and radius, metres; 0 where a number is not in use |
 //! | `pixel` | n | i4 | `y * width + x`; absent for polar maps, which have no pixels |
+//! | `object` | n | i4 | number of the point's object; models of static clouds only |
 //! | `origin` | 3 | f8 | what positions count from, metres |
+//!
+//! A model's normals point away from their object's centroid, as there is no camera, and
+//! neighbours are of the same object.
 //!
 //! The file is an uncompressed ZIP of `.npy` files, as `numpy.savez` writes it:
 //! `torch.from_numpy(np.load("000000.npz")["features"])`.
@@ -26,12 +30,19 @@ use zip::write::SimpleFileOptions;
 
 /// What goes into a file.
 #[derive(Default)]
-struct Content {
-    points: Vec<DVec3>,
-    owners: Vec<u32>,
-    spheres: Vec<Ball>,
-    pixels: Option<Vec<u8>>,
-    origin: DVec3,
+pub(crate) struct Content {
+    /// Positions in the source's coordinates, metres.
+    pub points: Vec<DVec3>,
+    /// Of each point, its place in `spheres` or `UNASSIGNED`.
+    pub owners: Vec<u32>,
+    pub spheres: Vec<Ball>,
+    /// Number and points of each object of a scene, all points in turn; empty where there is
+    /// but one cloud.
+    pub objects: Vec<(u32, usize)>,
+    /// Of each point its pixel, as bytes.
+    pub pixels: Option<Vec<u8>>,
+    pub origin: DVec3,
+    pub view: Option<DVec3>,
 }
 
 /// Replaces `file` by the measured pixels of a frame. A sphere's row is its slot.
@@ -39,7 +50,11 @@ struct Content {
 /// # Errors
 /// More data than a ZIP file can hold.
 pub fn points(frame: &ExportFrame<'_>, file: &mut Vec<u8>) -> Result<(), String> {
-    let mut content = Content::default();
+    let mut content = Content {
+        // the camera stands at the zero of the optical frame
+        view: Some(DVec3::ZERO),
+        ..Content::default()
+    };
     for point in frame.points() {
         content.points.push(point.position.as_dvec3());
         content
@@ -69,6 +84,7 @@ pub fn cloud_points(cloud: &ExportCloud<'_>, file: &mut Vec<u8>) -> Result<(), S
     let map = cloud.map;
     let mut content = Content {
         origin: map.origin,
+        view: Some(DVec3::ZERO),
         ..Content::default()
     };
     for (s, patch) in map.patches.iter().enumerate() {
@@ -88,15 +104,31 @@ fn ball((center, radius): (DVec3, f64)) -> Ball {
     Ball { center, radius }
 }
 
-fn write(content: &Content, file: &mut Vec<u8>) -> Result<(), String> {
+/// Replaces `file` by the arrays.
+pub(crate) fn write(content: &Content, file: &mut Vec<u8>) -> Result<(), String> {
     let options = FeatureOptions {
-        // the camera stands at the zero of the optical frame
-        view: Some(DVec3::ZERO),
+        view: content.view,
         origin: content.origin,
         ..FeatureOptions::default()
     };
     let (points, origin) = (&content.points, content.origin);
-    let features = Features::new(points, &content.spheres, &content.owners, &options);
+    let whole = [(0, points.len())];
+    let objects = if content.objects.is_empty() {
+        &whole
+    } else {
+        &content.objects[..]
+    };
+    let mut features = Features::default();
+    let (mut own, mut first) = (Vec::new(), 0);
+    for &(object, count) in objects {
+        let range = first..(first + count).min(points.len());
+        first = range.end;
+        own.extend((0..range.len()).flat_map(|_| object.to_le_bytes()));
+        let of_object = (&points[range.clone()], &content.owners[range]);
+        let found = Features::new(of_object.0, &content.spheres, of_object.1, &options);
+        features.values.extend(found.values);
+        features.normals.extend(found.normals);
+    }
     let about_origin = |p: DVec3| (p - origin).as_vec3().to_array();
     let row = |s: &Ball| match s.radius > 0.0 {
         true => {
@@ -156,6 +188,9 @@ fn write(content: &Content, file: &mut Vec<u8>) -> Result<(), String> {
     ];
     let text = format!("|S{width}");
     arrays.push(("columns", &text, vec![COLUMNS.len()], names));
+    if !content.objects.is_empty() {
+        arrays.push(("object", "<i4", vec![n], own));
+    }
     if let Some(pixels) = &content.pixels {
         arrays.push(("pixel", "<i4", vec![n], pixels.clone()));
     }

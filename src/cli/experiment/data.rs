@@ -1,10 +1,10 @@
 //! Data of an experiment: clouds and depth frames as the user names them, or stand-ins.
 
 use crate::cli::args::ExperimentArgs;
-use crate::cli::failure::{Failure, Kind};
+use crate::cli::failure::Failure;
 use crate::cli::source::{self, InputOptions};
-use glam::DVec3;
 use saint_live::capture::Next;
+use saint_live::cloud::{Cloud, CloudFormat};
 use saint_live::experiment::subject::{synthetic_frames, synthetic_objects};
 use saint_live::experiment::{DepthFrames, Subject};
 use saint_live::frame::DepthFrame;
@@ -36,7 +36,9 @@ pub fn subjects(args: &ExperimentArgs) -> Result<Vec<Subject>, Failure> {
     };
     for path in &args.data {
         if is_cloud(path) {
-            let points = read_cloud(path, args.unit.map(|l| l.0))?;
+            let cloud = Cloud::read(path)?;
+            let unit = args.unit.or(cloud.stated_unit).unwrap_or_default();
+            let points = cloud.into_metres(unit);
             subjects.push(Subject::cloud(&name(path), &points, contact, most)?);
         } else {
             as_clouds(
@@ -125,50 +127,5 @@ fn name(path: &Path) -> String {
 }
 
 fn is_cloud(path: &Path) -> bool {
-    path.extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("ply"))
-}
-
-/// Vertices of a PLY file, metres. The unit is the given one, or that of a `unit mm` comment.
-fn read_cloud(path: &Path, unit_m: Option<f64>) -> Result<Vec<DVec3>, Failure> {
-    use ply_rs_bw::ply::{DefaultElement, Property};
-    let bad = |what: &dyn std::fmt::Display| {
-        Failure::new(
-            Kind::Input,
-            format_args!(
-                "{}: {what}; give a PLY file with vertices x y z",
-                path.display()
-            ),
-        )
-    };
-    let file = std::fs::File::open(path).map_err(|e| bad(&e))?;
-    let parser = ply_rs_bw::parser::Parser::<DefaultElement>::new();
-    let ply = parser
-        .read_ply(&mut std::io::BufReader::new(file))
-        .map_err(|e| bad(&e))?;
-    let says_mm = |c: &String| c.trim() == "unit mm";
-    let stated = if ply.header.comments.iter().any(says_mm) {
-        1e-3
-    } else {
-        1.0
-    };
-    let unit = unit_m.unwrap_or(stated);
-    let vertices = ply
-        .payload
-        .get("vertex")
-        .ok_or_else(|| bad(&"no vertices"))?;
-    let number = |vertex: &DefaultElement, axis: &str| match vertex.get(axis) {
-        Some(Property::Float(v)) => Some(f64::from(*v)),
-        Some(Property::Double(v)) => Some(*v),
-        Some(Property::Int(v)) => Some(f64::from(*v)),
-        _ => None,
-    };
-    let point = |vertex: &DefaultElement| {
-        let [x, y, z] = ["x", "y", "z"].map(|axis| number(vertex, axis));
-        Some(DVec3::new(x?, y?, z?) * unit)
-    };
-    vertices
-        .iter()
-        .map(|v| point(v).ok_or_else(|| bad(&"a vertex without x, y, z")))
-        .collect()
+    CloudFormat::named(path).is_some()
 }
