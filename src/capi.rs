@@ -307,10 +307,11 @@ mod tests {
             ("SAINT_LIVE_FAULT", FAULT),
         ];
         for (name, value) in defines {
-            assert!(
-                header.contains(&format!("#define {name} {value}\n")),
-                "{name}"
-            );
+            let line = header
+                .lines()
+                .find_map(|l| l.strip_prefix(&format!("#define {name} ")));
+            let said = line.and_then(|l| l.split_whitespace().next()?.parse().ok());
+            assert_eq!(said, Some(value), "{name}");
         }
     }
 }

@@ -46,7 +46,7 @@ fn each_experiment_prints_tables_and_writes_its_curve() {
             text(&svg),
             "--json",
         ];
-        arguments.extend(["--seeds", "2", "--max-points", "800", "-q"]);
+        arguments.extend(["--seeds", "2", "--max-points", "450", "-q"]);
         match name {
             "loss" => arguments.extend(["-n", "2"]),
             _ => arguments.push(text(&cloud)),
@@ -72,8 +72,8 @@ fn each_experiment_prints_tables_and_writes_its_curve() {
         );
         if name != "loss" {
             let data = report["data"].to_string();
-            // 900 points of 0.12 m in millimetres
-            assert!(data.contains("bowl: 450 points, diagonal 0.17"), "{data}");
+            // 112 x 120 x 28 mm
+            assert!(data.contains("bowl: 450 points, diagonal 0.166"), "{data}");
         }
     }
 }

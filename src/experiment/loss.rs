@@ -462,3 +462,7 @@ fn score(test: &Set, weights: &[f64; WEIGHTS]) -> Score {
         truth: (true_count > 0.0).then(|| (true_squares / true_count).sqrt()),
     }
 }
+
+#[cfg(test)]
+#[path = "loss_tests.rs"]
+mod tests;

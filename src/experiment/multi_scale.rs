@@ -11,10 +11,11 @@ use crate::quality::cloud_error;
 
 /// The paper's numbers of spheres.
 pub const SCALES: [usize; 7] = [5, 10, 20, 50, 100, 200, 250];
-/// Points on which the contact distance of a scale is looked for.
-const PROBE_POINTS: usize = 6000;
-/// Halvings of the search, from a factor of 2000.
-const HALVINGS: usize = 8;
+/// Most points on which the contact distance of a scale is looked for. Spheres fit a thin sample
+/// better than the cloud it is of.
+const PROBE_POINTS: usize = 20_000;
+/// Halvings of the search, from a factor of 20 000: to 2 %.
+const HALVINGS: usize = 9;
 
 /// What one model of one scale gives.
 struct Scale {
@@ -75,11 +76,11 @@ pub fn run(subjects: &[Subject], effort: Effort) -> Result<Report, ExperimentErr
             series.points.push((scale as f64, mean));
         }
         if let (Some(first), Some(last)) = (series.points.first(), series.points.last()) {
-            falls.push(first.1 / last.1);
+            falls.push((first.1 / last.1).ln());
         }
         curve.series.push(series);
     }
-    let mean_fall = falls.iter().sum::<f64>() / falls.len().max(1) as f64;
+    let mean_fall = (falls.iter().sum::<f64>() / falls.len().max(1) as f64).exp();
     Ok(Report {
         experiment: "multi-scale",
         claim: "Fig. 5, 7: finer details are achieved as the number of spheres increases",
@@ -88,7 +89,7 @@ pub fn run(subjects: &[Subject], effort: Effort) -> Result<Report, ExperimentErr
         seeds: effort.seeds,
         tables: vec![fixed, free],
         findings: vec![format!(
-            "From 5 to 250 spheres the Chamfer distance falls {mean_fall:.1} times (mean over data, contact distance as small as 99.9 % allow)."
+            "From 5 to 250 spheres the Chamfer distance falls {mean_fall:.1} times (geometric mean over data, contact distance as small as 99.9 % allow)."
         )],
         curve,
     })
@@ -149,13 +150,13 @@ fn fit(
     Ok(CloudFit::default().fit(points, &parameters)?)
 }
 
-/// The smallest constant contact distance, to about 3 %, at which `scale` spheres touch enough
+/// The smallest constant contact distance, to about 2 %, at which `scale` spheres touch enough
 /// of a sample of the points.
 fn finest(subject: &Subject, scale: usize, seed: u64) -> Result<ContactDistance, ExperimentError> {
     let stride = subject.points.len().div_ceil(PROBE_POINTS).max(1);
     let sample: Vec<_> = subject.points.iter().copied().step_by(stride).collect();
     let points = LocalPoints::new(&sample)?;
-    let (mut low, mut high) = (1e-4 * subject.diagonal_m(), 0.2 * subject.diagonal_m());
+    let (mut low, mut high) = (1e-5 * subject.diagonal_m(), 0.2 * subject.diagonal_m());
     for _ in 0..HALVINGS {
         let middle = (low * high).sqrt();
         let found = fit(&points, ContactDistance::constant(middle), scale, seed)?;

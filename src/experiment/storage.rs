@@ -3,6 +3,7 @@
 //! Compressors that are not part of this crate come in as functions ([`Tools`]): the command
 //! line runs the programs where they are installed.
 
+use super::map_resolution::bend_planes;
 use super::{Cell, Curve, Effort, ExperimentError, Report, Series, Subject, Table};
 use crate::codec::polar;
 use crate::contact_map::merged::{ClaimMap, LiteralMap};
@@ -264,6 +265,8 @@ fn saint(
                 method.kept.push(100.0 * map.cells.len() as f64 / n);
             }
         }
+        let mut model = model;
+        bend_planes(points, &mut model, f64::from(map.step_m));
         let grid = grid_of_step(&model, f64::from(map.step_m));
         let literal = LiteralMap::new(points, &model, grid);
         let bytes = literal_bytes(&model, &literal);

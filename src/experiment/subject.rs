@@ -115,8 +115,11 @@ impl Subject {
     }
 }
 
-/// `v` (above 0) to two significant digits, so that it can be said and given again.
+/// `v` to two significant digits, so that it can be said and given again.
 fn two_digits(v: f64) -> f64 {
+    if !(v > 0.0 && v.is_finite()) {
+        return v;
+    }
     let place = v.log10().floor() as i32 - 1;
     // divided by a whole power of ten, so that the result is the nearest double
     match place {
