@@ -41,6 +41,10 @@ pub mod fit;
 
 pub mod contact_map;
 
+pub mod features;
+
+pub mod loss;
+
 pub mod codec;
 
 pub mod recording;
@@ -54,3 +58,8 @@ pub mod play;
 pub mod export;
 
 pub mod quality;
+
+pub mod experiment;
+
+#[cfg(feature = "capi")]
+pub mod capi;

@@ -206,7 +206,7 @@ fn frames_without_a_measurement_are_frames() {
         0,
     );
     assert_eq!(info(&mcap)["frames"], 3);
-    for form in ["ply", "spheres", "pcd", "exr", "png", "png16"] {
+    for form in ["ply", "spheres", "pcd", "exr", "png", "png16", "npz"] {
         let out = folder.path().join(form);
         run(
             ["export", text(&mcap), "--to", form, "-q", "-o", text(&out)],

@@ -338,7 +338,7 @@ fn export_writes_each_form_and_never_over_another() {
     let path = folder.path().join("x.mcap");
     record(&path, 4);
     let name = path.to_str().unwrap();
-    for form in ["ply", "spheres", "pcd", "exr", "png", "png16"] {
+    for form in ["ply", "spheres", "pcd", "exr", "png", "png16", "npz"] {
         let out = folder.path().join(form);
         let out = out.to_str().unwrap();
         run(["export", name, "--to", form, "-o", out], 0);

@@ -57,6 +57,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Measure quality, size and time on recorded frames held in memory.
     Bench(BenchArgs),
+    /// Measure a claim of the paper: tables on standard output, a curve with -o.
+    Experiment(ExperimentArgs),
     /// Write a recording of a synthetic scene (EXR folder).
     Synthesize(SynthesizeArgs),
     /// Model static clouds of points: objects, or a scene of several.
@@ -550,6 +552,8 @@ pub enum ExportArg {
     Png,
     /// 16-bit depth with camera.json.
     Png16,
+    /// NumPy arrays: points, normals and SAINT features, for training loops.
+    Npz,
 }
 
 /// `info`.
@@ -585,6 +589,66 @@ pub struct BenchArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub engine: EngineArgs,
+}
+
+/// `experiment`.
+#[derive(Debug, Args)]
+pub struct ExperimentArgs {
+    /// Which experiment.
+    #[arg(value_enum)]
+    pub name: ExperimentName,
+    /// Clouds (PLY, PCD, OBJ, XYZ, NumPy), and whatever `replay` takes; without any, synthetic objects and frames.
+    pub data: Vec<PathBuf>,
+    /// Write the curve to this file (SVG).
+    #[arg(short, long, value_name = "FILE.svg")]
+    pub output: Option<PathBuf>,
+    /// Replace an output file that exists.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Print one JSON object instead of tables.
+    #[arg(long)]
+    pub json: bool,
+    /// Repetitions, each with a seed of its own.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    pub seeds: u64,
+    /// Most points of a cloud: of more, every k-th is taken.
+    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    pub max_points: usize,
+    /// Frames taken of a sequence, evenly spread [default: 1; loss: 12].
+    #[arg(short = 'n', long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
+    pub frames: Option<u64>,
+    /// How far from its sphere a point may lie [default: a 500th of a cloud's diagonal; of depth
+    /// frames as for live capture].
+    #[arg(long, value_name = "LENGTH[+Kz2]")]
+    pub contact_distance: Option<ContactDistance>,
+    /// Chamfer distance at which sizes are compared, per cent of the diagonal [default: 0.1].
+    #[arg(long, value_name = "PERCENT", value_parser = factor)]
+    pub chamfer: Option<f64>,
+    /// Unit of the clouds' coordinates: um, mm, cm, m, km, in, ft [default: what the file says,
+    /// or m].
+    #[arg(long)]
+    pub unit: Option<LengthUnit>,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+}
+
+/// The experiments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExperimentName {
+    /// Models of 5 to 250 spheres (Fig. 5, 7).
+    MultiScale,
+    /// Error against the contact map's resolution (Fig. 15).
+    MapResolution,
+    /// Bytes beside gzip, zstd, Draco (Fig. 8-10).
+    Storage,
+    /// Hexagonal against cubic packing (Fig. 11).
+    Packing,
+    /// Random against progressive fitting (Fig. 12-14).
+    Schemes,
+    /// Training with the SAINT loss, and its control (Fig. 18).
+    Loss,
+    /// Telling objects apart by SAINT features (Fig. 16, 17).
+    Features,
 }
 
 /// `synthesize`.

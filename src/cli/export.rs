@@ -47,6 +47,7 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         ExportArg::Exr => Format::Exr,
         ExportArg::Png => Format::Png,
         ExportArg::Png16 => Format::Png16,
+        ExportArg::Npz => Format::Npz,
     };
     let mut tape = match &args.camera {
         Some(name) => Tape::open_camera(&args.file, name)?,

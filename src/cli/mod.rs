@@ -6,6 +6,7 @@ mod args;
 mod bench;
 mod devices;
 mod engine;
+mod experiment;
 mod export;
 mod failure;
 mod info;
@@ -56,6 +57,7 @@ fn dispatch(arguments: Arguments) -> Result<(), Failure> {
         Some(Command::Export(args)) => export::run(&args, arguments.quiet),
         Some(Command::Info(args)) => info::run(&args),
         Some(Command::Bench(args)) => bench::run(&args, arguments.quiet),
+        Some(Command::Experiment(args)) => experiment::run(&args, arguments.quiet),
         Some(Command::Synthesize(args)) => synthesize::run(&args, arguments.quiet),
         Some(Command::Model(args)) => model::run(&args, arguments.quiet),
         Some(Command::Completions { shell }) => {

@@ -425,9 +425,10 @@ pub fn export(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         ExportArg::Ply => Format::Ply,
         ExportArg::Spheres => Format::Spheres,
         ExportArg::Pcd => Format::Pcd,
+        ExportArg::Npz => Format::Npz,
         ExportArg::Exr | ExportArg::Png | ExportArg::Png16 => {
             return Err(Failure::usage(format_args!(
-                "{} is a model: its points have no grid of pixels; export to ply, pcd or spheres",
+                "{} is a model: its points have no grid of pixels; export to ply, pcd, spheres or npz",
                 args.file.display()
             )));
         }
@@ -459,6 +460,7 @@ pub fn export(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
     let bytes = match format {
         Format::Spheres => export::ply_spheres(&placed),
         Format::Pcd => export::pcd_points(&placed).map_err(|e| Failure::new(Kind::Failure, e))?,
+        Format::Npz => export::npz_points(&placed).map_err(|e| Failure::new(Kind::Failure, e))?,
         _ => export::ply_points(&placed),
     };
     Target::File {

@@ -56,6 +56,16 @@ impl CloudFormat {
         ("pts", Self::Xyz),
     ];
 
+    /// The kind that a file's name announces.
+    #[must_use]
+    pub fn named(path: &Path) -> Option<Self> {
+        let ending = path.extension()?.to_str()?;
+        let known = Self::ENDINGS
+            .iter()
+            .find(|(name, _)| name.eq_ignore_ascii_case(ending));
+        known.map(|(_, format)| *format)
+    }
+
     /// The kind of a file, by its first bytes and then by its name's ending.
     fn of(path: &Path, bytes: &[u8]) -> Option<Self> {
         if bytes.starts_with(npy::MAGIC) {
@@ -67,11 +77,7 @@ impl CloudFormat {
         if bytes.starts_with(b"# .PCD") {
             return Some(Self::Pcd);
         }
-        let ending = path.extension()?.to_str()?;
-        let known = Self::ENDINGS
-            .iter()
-            .find(|(name, _)| name.eq_ignore_ascii_case(ending));
-        known.map(|(_, format)| *format)
+        Self::named(path)
     }
 }
 

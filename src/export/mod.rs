@@ -7,6 +7,7 @@
 //! | [`exr`] | planar depth, camera and time as attributes | metres, 0 = no measurement |
 //! | [`png`] | a picture: each sphere its colour | – |
 //! | [`png16`] | planar depth as integers, `camera.json` beside | the sensor's unit, 0 = none |
+//! | [`npz`] | points with normals and SAINT features, as NumPy arrays | metres, optical frame |
 //!
 //! A frame with a polar contact map ([`ExportCloud`]) has points and spheres, no depth image.
 //! EXR and 16-bit PNG are inputs again. [`FileSequence`] writes one file a frame, or one file.
@@ -14,6 +15,7 @@
 mod cloud;
 pub mod color;
 pub mod exr;
+pub mod npz;
 mod paint;
 pub mod pcd;
 pub mod ply;
@@ -123,11 +125,11 @@ pub enum ExportError {
         folder: bool,
     },
     /// The name of a format is not known: usage, exit 2.
-    #[error("cannot export to {0:?}; choose one of ply, spheres, pcd, exr, png, png16")]
+    #[error("cannot export to {0:?}; choose one of ply, spheres, pcd, exr, png, png16, npz")]
     UnknownFormat(String),
     /// The format is an image and the frame has no grid: usage, exit 2.
     #[error(
-        "frame {sequence} has a polar contact map: its points have no grid, so {format} cannot hold them; export to ply, pcd or spheres, or record with a sensor contact map"
+        "frame {sequence} has a polar contact map: its points have no grid, so {format} cannot hold them; export to ply, pcd, spheres or npz, or record with a sensor contact map"
     )]
     NoGrid {
         /// The source's frame number.

@@ -2,7 +2,7 @@
 
 use super::color::Rgb;
 use super::union::{self, View};
-use super::{ExportCloud, ExportError, ExportFrame, exr, pcd, ply, png, png16};
+use super::{ExportCloud, ExportError, ExportFrame, exr, npz, pcd, ply, png, png16};
 use crate::capture::CaptureError;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -24,17 +24,20 @@ pub enum Format {
     Png,
     /// Depth: 16-bit PNG in the sensor's unit.
     Png16,
+    /// Points with normals and features: NumPy arrays.
+    Npz,
 }
 
 impl Format {
     /// All formats, as the command line names them.
-    pub const NAMES: [(&'static str, Self); 6] = [
+    pub const NAMES: [(&'static str, Self); 7] = [
         ("ply", Self::Ply),
         ("spheres", Self::Spheres),
         ("pcd", Self::Pcd),
         ("exr", Self::Exr),
         ("png", Self::Png),
         ("png16", Self::Png16),
+        ("npz", Self::Npz),
     ];
 
     /// Whether a frame of points without a grid can be written.
@@ -43,7 +46,7 @@ impl Format {
     /// [`ExportError::NoGrid`] for formats that are images.
     pub fn check_cloud(self, sequence: u64) -> Result<(), ExportError> {
         match self {
-            Self::Ply | Self::Spheres | Self::Pcd => Ok(()),
+            Self::Ply | Self::Spheres | Self::Pcd | Self::Npz => Ok(()),
             Self::Exr | Self::Png | Self::Png16 => Err(ExportError::NoGrid {
                 sequence,
                 format: self.name(),
@@ -77,6 +80,7 @@ impl Format {
             Self::Pcd => "pcd",
             Self::Exr => "exr",
             Self::Png | Self::Png16 => "png",
+            Self::Npz => "npz",
         }
     }
 }
@@ -200,6 +204,9 @@ impl FileSequence {
             Format::Pcd => {
                 pcd::cloud_points(cloud, buffer).map_err(|what| self.encode_error(&path, what))?
             }
+            Format::Npz => {
+                npz::cloud_points(cloud, buffer).map_err(|what| self.encode_error(&path, what))?
+            }
             _ => ply::cloud_points(cloud, buffer),
         }
         self.put(&path)
@@ -302,6 +309,7 @@ impl FileSequence {
                 Ok(())
             }
             Format::Pcd => pcd::points(frame, buffer),
+            Format::Npz => npz::points(frame, buffer),
             Format::Png => png::picture(frame, buffer),
             Format::Exr => return self.image(frame, path, exr::depth),
             Format::Png16 => {

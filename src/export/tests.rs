@@ -196,6 +196,98 @@ fn pcd_points_are_read_back() {
     assert_points(&points, &scene);
 }
 
+/// One array of an .npz file: its NumPy type, shape and bytes, read by the `zip` crate.
+fn read_npz(file: &[u8], name: &str) -> (String, String, Vec<u8>) {
+    let mut zip = zip::ZipArchive::new(io::Cursor::new(file)).unwrap();
+    let mut bytes = Vec::new();
+    let mut member = zip.by_name(&format!("{name}.npy")).unwrap();
+    io::Read::read_to_end(&mut member, &mut bytes).unwrap();
+    assert_eq!(bytes[..8], *b"\x93NUMPY\x01\x00");
+    let length = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    assert_eq!((10 + length) % 64, 0, "NumPy wants its data aligned");
+    let header = String::from_utf8(bytes[10..10 + length].to_vec()).unwrap();
+    assert!(header.ends_with('\n') && header.contains("'fortran_order': False"));
+    let between = |from: &str, to: &str| {
+        let rest = header.split(from).nth(1).unwrap();
+        rest.split(to).next().unwrap().to_owned()
+    };
+    let (kind, shape) = (between("'descr': '", "'"), between("'shape': (", ")"));
+    (kind, shape, bytes[10 + length..].to_vec())
+}
+
+#[test]
+fn npz_arrays_are_read_back() {
+    use crate::features::{COLUMNS, PAPER_COLUMNS};
+    let scene = Scene::new();
+    let truth = scene.truth();
+    let n = truth.len();
+    let mut file = Vec::new();
+    npz::points(&scene.frame(), &mut file).unwrap();
+    let floats = |name: &str, shape: &str| -> Vec<f32> {
+        let (kind, found, bytes) = read_npz(&file, name);
+        assert_eq!((kind.as_str(), found.as_str()), ("<f4", shape), "{name}");
+        let value = |b: &[u8]| f32::from_le_bytes(b.try_into().unwrap());
+        bytes.chunks_exact(4).map(value).collect()
+    };
+    let ints = |name: &str| -> Vec<i32> {
+        let (kind, shape, bytes) = read_npz(&file, name);
+        assert_eq!((kind.as_str(), shape), ("<i4", format!("{n},")), "{name}");
+        let value = |b: &[u8]| i32::from_le_bytes(b.try_into().unwrap());
+        bytes.chunks_exact(4).map(value).collect()
+    };
+    let points = floats("points", &format!("{n}, 3,"));
+    for (found, (position, _)) in points.chunks_exact(3).zip(&truth) {
+        for (a, b) in found.iter().zip(position) {
+            assert!((f64::from(*a) - b).abs() < 1e-6);
+        }
+    }
+    let owners = ints("sphere");
+    assert!(
+        owners
+            .iter()
+            .zip(&truth)
+            .all(|(found, (_, sphere))| found == sphere)
+    );
+    let measured = (0..WIDTH * HEIGHT).filter(|i| scene.depth[*i] > 0.0);
+    assert!(ints("pixel").iter().map(|p| *p as usize).eq(measured));
+    let spheres = floats("spheres", "4, 4,");
+    assert_eq!(spheres[4..8], [0.0; 4], "a slot that is not in use");
+    assert!((spheres[0] + 0.5).abs() < 1e-5 && (spheres[3] - 0.75).abs() < 1e-5);
+    // the paper's columns follow from the other arrays
+    let features = floats("features", &format!("{n}, {},", COLUMNS.len()));
+    for (i, row) in features.chunks_exact(COLUMNS.len()).enumerate() {
+        let own = spheres
+            .chunks_exact(4)
+            .nth(owners[i].max(0) as usize)
+            .unwrap();
+        if owners[i] < 0 || own[3] == 0.0 {
+            continue;
+        }
+        assert_eq!(row[..4], *own);
+        let (x, y) = (points[3 * i] - own[0], points[3 * i + 1] - own[1]);
+        assert!(
+            (row[4] - x.hypot(y)).abs() < 1e-5,
+            "{} {}",
+            row[4],
+            x.hypot(y)
+        );
+        let turn = (row[5] - y.atan2(x)).abs() % std::f32::consts::TAU;
+        assert!(turn < 1e-3 || turn > 6.28, "{turn}");
+        assert!(row[PAPER_COLUMNS..].iter().all(|v| v.is_finite()));
+    }
+    let (kind, shape, names) = read_npz(&file, "columns");
+    let width: usize = kind.strip_prefix("|S").unwrap().parse().unwrap();
+    assert_eq!(shape, format!("{},", COLUMNS.len()));
+    for (found, column) in names.chunks_exact(width).zip(&COLUMNS) {
+        assert_eq!(
+            String::from_utf8_lossy(found).trim_end_matches('\0'),
+            column.name
+        );
+    }
+    assert_eq!(floats("normals", &format!("{n}, 3,")).len(), 3 * n);
+    assert_eq!(read_npz(&file, "origin").2, [0; 24]);
+}
+
 #[test]
 fn a_picture_is_coloured_by_sphere_and_black_where_nothing_is() {
     let scene = Scene::new();

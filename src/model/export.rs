@@ -1,12 +1,13 @@
 //! Parts of a model as files other programs read.
 //!
-//! Points as PLY (`x y z`, `red green blue`, `int sphere`, `int object`) or PCD (`x y z`, `rgb`,
+//! Points with features as NumPy arrays; points as PLY (`x y z`, `red green blue`, `int sphere`, `int object`) or PCD (`x y z`, `rgb`,
 //! `sphere`, `object`), spheres as PLY (`x y z radius`, the rest as of points). Sphere numbers are
 //! the object's own. Coordinates are the source's, in metres: double precision where an object
 //! lies away from the file's zero, single otherwise.
 
 use super::Geometry;
-use crate::export::color;
+use crate::export::{color, npz};
+use crate::loss::Ball;
 use glam::DVec3;
 use pcd_rs::{DataKind, PcdSerialize, Schema, ValueKind, WriterInit};
 use std::io::{Cursor, Seek, Write};
@@ -166,5 +167,36 @@ pub fn pcd_points(parts: &[Placed<'_>]) -> Result<Vec<u8>, String> {
         }
     }
     writer.finish().map_err(|e| e.to_string())?;
+    Ok(file)
+}
+
+/// The points with normals and features as NumPy arrays ([`npz`]). The origin is the first
+/// object's.
+///
+/// # Errors
+/// More data than the file can hold.
+pub fn npz_points(parts: &[Placed<'_>]) -> Result<Vec<u8>, String> {
+    let mut content = npz::Content {
+        origin: parts.first().map_or(DVec3::ZERO, |(_, g)| g.origin()),
+        ..npz::Content::default()
+    };
+    for &(object, geometry) in parts {
+        let first = content.spheres.len() as u32;
+        let points = geometry.points();
+        content.objects.push((object, points.len()));
+        for (p, sphere) in points {
+            content.points.push(p + geometry.origin());
+            content.owners.push(first + sphere);
+        }
+        let ball = |(center, radius): (DVec3, f64)| Ball {
+            center: center + geometry.origin(),
+            radius,
+        };
+        content
+            .spheres
+            .extend(geometry.spheres().into_iter().map(ball));
+    }
+    let mut file = Vec::new();
+    npz::write(&content, &mut file)?;
     Ok(file)
 }
