@@ -1,9 +1,10 @@
 //! The arguments as they are typed.
 
-use super::values::{Length, duration, factor, length, length_or_zero, size};
+use super::values::{Length, duration, factor, length, length_or_zero, size, split};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use saint_live::fit::contact_distance::ContactDistance;
+use saint_live::recording::Split;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -49,6 +50,10 @@ pub enum Command {
     Export(ExportArgs),
     /// Say what is in a recording.
     Info(InfoArgs),
+    /// Look for damage in a recording: checksums, order, gaps, every frame decoded.
+    Check(CheckArgs),
+    /// Write what is whole in a cut or damaged recording to a new file.
+    Repair(RepairArgs),
     /// Measure quality, size and time on recorded frames held in memory.
     Bench(BenchArgs),
     /// Write a recording of a synthetic scene (EXR folder).
@@ -208,6 +213,14 @@ pub struct StreamArgs {
     /// Replace an output file that exists.
     #[arg(long)]
     pub overwrite: bool,
+    /// Write numbered parts (scene-001.mcap, ...) of this size or length, each of which plays
+    /// alone: 4GB, 500MB, 10min. A part ends before a key frame.
+    #[arg(long, value_name = "SIZE|TIME", value_parser = split, requires = "output")]
+    pub split: Option<Split>,
+    /// When bytes must have reached the disk: `end` waits once, `chunk` twice a second, so that a
+    /// power cut takes no more than the last half second.
+    #[arg(long, value_enum, default_value_t = SyncArg::End, requires = "output")]
+    pub sync: SyncArg,
     /// Stop after taking this many frames.
     #[arg(short = 'n', long, value_name = "N")]
     pub frames: Option<u64>,
@@ -230,6 +243,16 @@ pub struct StreamArgs {
     /// Write a timeline (Chrome trace events; open it in Perfetto).
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
+}
+
+/// When bytes must have reached the disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SyncArg {
+    /// When the file is complete.
+    #[default]
+    End,
+    /// With each chunk of half a second.
+    Chunk,
 }
 
 /// What to do with a frame that would be late.
@@ -372,6 +395,35 @@ pub struct InfoArgs {
     /// The recording.
     pub file: PathBuf,
     /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `check`.
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// The recording.
+    pub file: PathBuf,
+    /// Checksums and order only; decode nothing.
+    #[arg(long)]
+    pub quick: bool,
+    /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `repair`.
+#[derive(Debug, Args)]
+pub struct RepairArgs {
+    /// The cut or damaged recording; it stays as it is.
+    pub file: PathBuf,
+    /// The new file.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Replace an output file that exists.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Say what was kept and lost as one JSON object.
     #[arg(long)]
     pub json: bool,
 }

@@ -4,6 +4,7 @@
 
 mod args;
 mod bench;
+mod check;
 mod devices;
 mod engine;
 mod export;
@@ -12,6 +13,7 @@ mod info;
 mod machine;
 mod message;
 mod play;
+mod repair;
 mod report;
 mod run;
 mod signals;
@@ -52,6 +54,8 @@ fn dispatch(arguments: Arguments) -> Result<(), Failure> {
         Some(Command::Play(args)) => play::run(&args),
         Some(Command::Export(args)) => export::run(&args, arguments.quiet),
         Some(Command::Info(args)) => info::run(&args),
+        Some(Command::Check(args)) => check::run(&args, arguments.quiet),
+        Some(Command::Repair(args)) => repair::run(&args, arguments.quiet),
         Some(Command::Bench(args)) => bench::run(&args, arguments.quiet),
         Some(Command::Synthesize(args)) => synthesize::run(&args, arguments.quiet),
         Some(Command::Completions { shell }) => {

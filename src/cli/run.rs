@@ -65,7 +65,7 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
 }
 
 /// True where both names lead to one file: writing the one would destroy the other.
-fn is_same_file(output: &Path, input: &Path) -> bool {
+pub fn is_same_file(output: &Path, input: &Path) -> bool {
     let whole = |path: &Path| path.canonicalize().ok();
     input.is_file() && whole(output).is_some_and(|path| Some(path) == whole(input))
 }
@@ -163,8 +163,12 @@ impl<'a> Run<'a> {
             message::say(&format!("saint-live: colour ended early: {error}"));
         }
         if let (Some(summary), false) = (&output.summary, self.quiet) {
+            let parts = match summary.parts {
+                1 => String::new(),
+                n => format!("{n} parts up to "),
+            };
             message::say(&format!(
-                "wrote {}: {} frames, {} bytes",
+                "wrote {parts}{}: {} frames, {} bytes",
                 summary.target, summary.frames, summary.bytes
             ));
         }

@@ -1,13 +1,16 @@
 //! Where frames go: a recording, or nowhere (then only the numbers count).
 
-use super::args::StreamArgs;
+use super::args::{StreamArgs, SyncArg};
 use super::failure::Failure;
 use saint_live::frame::{Camera, ColorFrame, FrameTime};
 use saint_live::pipeline::StageError;
 use saint_live::pipeline::packet::Packet;
 use saint_live::pipeline::stages::Sink;
+use saint_live::pipeline::statistics::Drops;
 use saint_live::pipeline::statistics::Statistics;
-use saint_live::recording::{RecordingSummary, RecordingWriter, Target, WriterOptions};
+use saint_live::recording::{
+    RecordingError, RecordingSummary, RecordingWriter, Sync, Target, WriterOptions,
+};
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -24,6 +27,9 @@ pub struct Output {
     statistics: Option<Statistics>,
     told_ns: i64,
     last: FrameTime,
+    drops: Drops,
+    /// Frames that are safe, after a failure.
+    kept: Option<u64>,
 }
 
 /// True where `-o -` was given.
@@ -54,21 +60,45 @@ impl Output {
                 overwrite: args.overwrite,
             }
         };
-        let writer = RecordingWriter::create(target, camera, &WriterOptions { notes })?;
+        let options = WriterOptions {
+            notes,
+            sync: match args.sync {
+                SyncArg::End => Sync::End,
+                SyncArg::Chunk => Sync::Chunk,
+            },
+            split: args.split,
+        };
+        let writer = RecordingWriter::create(target, camera, &options)?;
         Ok(Self {
             writer: Some(writer),
             ..Self::default()
         })
     }
 
-    /// Puts the numbers of the last second into the recording.
+    /// Puts the numbers of the last second into the recording, and the account so far.
     fn record_statistics(&mut self, now_ns: i64) -> Result<(), StageError> {
+        let mut told = Ok(());
         if let (Some(writer), Some(statistics)) = (&mut self.writer, &mut self.statistics) {
-            let report = serde_json::to_value(statistics.interval(now_ns))?;
-            writer.statistics(&report, self.last)?;
+            statistics.take_over(&self.drops);
+            let mut report = serde_json::to_value(statistics.interval(now_ns))?;
+            let total = statistics.total(now_ns);
+            report["total"] = serde_json::json!({
+                "sensor_frames": total.sensor_frames,
+                "frames": total.frames,
+                "drops": total.drops,
+            });
+            told = writer.statistics(&report, self.last);
         }
         self.told_ns = now_ns;
-        Ok(())
+        Ok(self.noted(told)?)
+    }
+
+    /// Notes what is safe where the recording has failed.
+    fn noted<T>(&mut self, result: Result<T, RecordingError>) -> Result<T, RecordingError> {
+        if let Err(error) = &result {
+            self.kept = self.kept.or(error.kept_frames());
+        }
+        result
     }
 }
 
@@ -77,7 +107,8 @@ impl Sink for Output {
         let Some(writer) = &mut self.writer else {
             return Ok(());
         };
-        writer.frame(&packet.encoded)?;
+        let written = writer.frame(&packet.encoded);
+        self.noted(written)?;
         // counted by stream time, so that a replay records the same numbers live would
         let now_ns = packet.depth.time.device_ns;
         self.last = packet.depth.time;
@@ -94,23 +125,33 @@ impl Sink for Output {
     }
 
     fn color(&mut self, color: &ColorFrame) -> Result<(), StageError> {
-        if let Some(writer) = &mut self.writer {
-            writer.color(color)?;
-        }
-        Ok(())
+        let written = self.writer.as_mut().map_or(Ok(()), |w| w.color(color));
+        Ok(self.noted(written)?)
     }
 
     fn idle(&mut self) -> Result<(), StageError> {
-        if let Some(writer) = &mut self.writer {
-            writer.idle()?;
-        }
-        Ok(())
+        let written = self.writer.as_mut().map_or(Ok(()), RecordingWriter::idle);
+        Ok(self.noted(written)?)
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        if let Some(writer) = self.writer.take() {
-            self.summary = Some(writer.finish()?);
+        if self.kept.is_some() {
+            // it has failed, and said so
+            return Ok(());
         }
-        Ok(())
+        let told = self.record_statistics(self.last.device_ns);
+        if let Some(writer) = self.writer.take() {
+            let summary = writer.finish();
+            self.summary = self.noted(summary).map(Some)?;
+        }
+        told
+    }
+
+    fn account(&mut self, drops: &Drops) {
+        self.drops = *drops;
+    }
+
+    fn kept(&self) -> Option<u64> {
+        self.kept
     }
 }

@@ -71,7 +71,7 @@ const PACKETS: usize = 4 + WAITING + 2 * HANDED_OVER;
 const TICK: Duration = Duration::from_millis(100);
 
 /// Without a frame for this long the sink is told so.
-const IDLE: Duration = Duration::from_secs(1);
+const IDLE: Duration = Duration::from_millis(100);
 
 /// How frames are taken from the source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -8,7 +8,7 @@ use super::budget::{Budget, CostModel, Decision, WorkLeft, decide};
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
 use super::packet::{CodingReport, ModelReport, Packet, Span};
-use super::statistics::{DropCause, Statistics};
+use super::statistics::{DropCause, Drops, Statistics};
 use super::trace::Trace;
 use crate::codec::EncodedFrame;
 use crate::contact_map::labels::SaintFrame;
@@ -66,7 +66,19 @@ pub trait Sink: Send {
         Ok(())
     }
 
-    /// Called about once a second while no frame comes, so that nothing waits in memory.
+    /// Told before each frame and before [`finish`](Self::finish): the frames given up so far, by
+    /// cause.
+    fn account(&mut self, drops: &Drops) {
+        let _ = drops;
+    }
+
+    /// Frames that are safe in the output, where that is fewer than it took: an output that
+    /// failed may have held some of them in memory. Asked at the end.
+    fn kept(&self) -> Option<u64> {
+        None
+    }
+
+    /// Called about ten times a second while no frame comes, so that nothing waits in memory.
     ///
     /// # Errors
     /// The output failed; the pipeline then stops.
@@ -321,7 +333,9 @@ impl<'a> Shared<'a> {
             return;
         }
         let start = self.clock.now_ns();
+        let drops = locked(&self.statistics).drops();
         let written = self.guarded(Stage::Sink, packet.depth.sequence, || {
+            sink.account(&drops);
             sink.frame(packet)?;
             match &packet.color {
                 Some(color) => sink.color(color),
@@ -364,8 +378,21 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// Closes the output, whatever happened before.
+    /// Closes the output, whatever happened before. Frames it took and lost again are dropped
+    /// frames.
     pub(super) fn finish_sink(&self, sink: &mut dyn Sink) {
-        let _ = self.guarded(Stage::Sink, 0, || sink.finish());
+        let drops = locked(&self.statistics).drops();
+        let kept = self.guarded(Stage::Sink, 0, || {
+            sink.account(&drops);
+            let result = sink.finish();
+            Ok((sink.kept(), result))
+        });
+        let Some((kept, result)) = kept else {
+            return;
+        };
+        if let Some(kept) = kept {
+            locked(&self.statistics).kept(kept);
+        }
+        let _ = self.guarded(Stage::Sink, 0, || result);
     }
 }

@@ -38,24 +38,37 @@
 //! where it is missing, fails its checksum, or disagrees with MCAP's own chunk index.
 
 mod calibration;
+mod channels;
+mod check;
+mod chunk;
 mod color;
 mod container;
+mod description;
+mod disk;
 mod error;
 mod index;
 mod info;
+mod loaded;
 pub mod message;
+mod part;
 mod reader;
+mod repair;
 mod sink;
+mod split;
 mod tally;
 #[cfg(test)]
 mod tests;
+mod topics;
 mod writer;
 
+pub use check::{CheckReport, Finding, Gap, check};
 pub use error::RecordingError;
-pub use info::{ChannelInfo, Damage, Info};
+pub use info::{Account, ChannelInfo, Damage, Info};
 pub use reader::{RecordingReader, Seek};
+pub use repair::{RepairReport, repair};
 pub use sink::Target;
-pub use writer::{RecordingSummary, RecordingWriter, WriterOptions};
+pub use split::Split;
+pub use writer::{CameraStream, RecordingSummary, RecordingWriter, Sync, WriterOptions};
 
 /// Topic of the SAINT stream.
 pub const SAINT_TOPIC: &str = "saint";

@@ -1,46 +1,60 @@
-//! Writing a recording: frames, colour and statistics into chunks that are safe once closed.
+//! Writing a recording: frames, colour and statistics of one camera or several, in one file or in
+//! parts.
 
 use super::calibration::{
     CALIBRATION_SCHEMA, CAMERA_SCHEMA, calibration, calibration_schema, camera_schema, camera_text,
 };
+use super::chunk::Kind;
 use super::message::{self, FrameHeader};
-use super::sink::Sink;
-use super::tally::{self, Tally};
-use super::{
-    CALIBRATION_TOPIC, CAMERA_TOPIC, COLOR_TOPIC, MAX_MESSAGE, RecordingError, SAINT_ENCODING,
-    SAINT_TOPIC, STATISTICS_TOPIC, Target, color,
-};
+use super::part::{Message, Part};
+use super::split::{Grown, Names, Split};
+use super::topics::Role;
+use super::{RecordingError, SAINT_ENCODING, Target, color};
 use crate::codec::EncodedFrame;
 use crate::frame::{Camera, ColorFrame, FrameTime};
-use mcap::McapError;
-use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
 
-/// A chunk is closed when its frames span this much stream time, ns.
-const CHUNK_STREAM_NS: i64 = 1_000_000_000;
-/// A chunk is closed when it is this old.
-const CHUNK_AGE: Duration = Duration::from_secs(1);
-/// A chunk is closed when it holds this many bytes.
-const CHUNK_BYTES: usize = 4 << 20;
+/// When a recording's bytes are made to reach the disk itself. What has reached the system, with
+/// each chunk, survives the end of the program in any case.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sync {
+    /// Once, when the file is finished: a power cut before may take what the system still held.
+    #[default]
+    End,
+    /// With each chunk, twice a second: a power cut takes the open chunk only.
+    Chunk,
+}
 
-/// What a recording says of itself beside the camera.
+/// What a recording says of itself beside the camera, and how it is written.
 #[derive(Clone, Debug, Default)]
 pub struct WriterOptions {
     /// Extra facts about the stream (tolerance, source, options), as metadata of the `saint`
-    /// channel. The names `camera` and `generator` are taken.
+    /// channel. The names `camera`, `generator` and `part` are taken.
+    pub notes: BTreeMap<String, String>,
+    /// When bytes must be on the disk.
+    pub sync: Sync,
+    /// Write parts instead of one file.
+    pub split: Option<Split>,
+}
+
+/// One camera of a recording.
+#[derive(Clone, Debug)]
+pub struct CameraStream {
+    /// Stands before its topics; empty for the only camera.
+    pub name: String,
+    /// The camera.
+    pub camera: Camera,
+    /// As [`WriterOptions::notes`], for this camera.
     pub notes: BTreeMap<String, String>,
 }
 
 /// What is in a finished recording.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct RecordingSummary {
-    /// File or pipe.
+    /// File or pipe; the last of the parts.
     pub target: String,
+    /// Files written.
+    pub parts: u32,
     /// Frames written.
     pub frames: u64,
     /// Key frames among them.
@@ -49,65 +63,58 @@ pub struct RecordingSummary {
     pub color_frames: u64,
     /// Size of the recording, bytes.
     pub bytes: u64,
-    /// Last frame's device time minus the first's, ns.
+    /// Last frame's device time minus the first's, ns, of the first camera.
     pub duration_ns: i64,
 }
 
 /// Writes one recording. Dropped without [`finish`](Self::finish) it still finalises the file,
 /// but nobody hears of an error.
 pub struct RecordingWriter {
-    /// `None` once finished or failed.
-    container: Option<mcap::Writer<NoSeek<Sink>>>,
-    target: String,
-    camera: Camera,
-    saint: u16,
-    calibration: u16,
-    camera_channel: u16,
-    statistics: Option<u16>,
-    color: Option<u16>,
-    tally: Tally,
-    chunk: Chunk,
-    /// Added to the device clock to make a log time; set by the first image.
-    clock_offset: Option<i64>,
-    kept_frames: u64,
-    kept_bytes: u64,
-    /// Bytes the sink has handed to the system.
-    written: Arc<AtomicU64>,
-    /// The camera's messages are out.
-    described: bool,
+    streams: Vec<Stream>,
+    options: WriterOptions,
+    names: Option<Names>,
+    current: Open,
+    /// The part before, while some camera waits for its key frame to leave it.
+    closing: Option<Open>,
+    finished: Finished,
     message: Vec<u8>,
 }
 
-/// The chunk that is open.
-#[derive(Default)]
-struct Chunk {
-    /// When its first message came; `None` while it is empty.
-    since: Option<Instant>,
-    /// Device time of its first frame, ns. Other messages may keep a clock of their own.
-    first_ns: Option<i64>,
-    bytes: usize,
+struct Stream {
+    name: String,
+    camera: Camera,
+    notes: BTreeMap<String, String>,
+    /// Its frames still go to the part that is closing.
+    lags: bool,
+    /// Times of its first and last frame, ns.
+    span_ns: Option<(i64, i64)>,
 }
 
-impl Chunk {
-    /// Whether the chunk must be closed before a message of `bytes` goes in.
-    fn is_full(&self, kind: Kind, bytes: usize, now: Instant) -> bool {
-        let Some(since) = self.since else {
-            return false;
-        };
-        let span = match (kind, self.first_ns) {
-            (Kind::Key(ns) | Kind::Predicted(ns), Some(first)) => ns.saturating_sub(first),
-            _ => 0,
-        };
-        let span = span.saturating_abs();
-        let age = now.saturating_duration_since(since);
-        let early = matches!(kind, Kind::Key(_)) && span >= CHUNK_STREAM_NS / 2;
-        span >= CHUNK_STREAM_NS || age >= CHUNK_AGE || self.bytes + bytes > CHUNK_BYTES || early
-    }
+/// A part and the numbers of its channels.
+struct Open {
+    part: Part,
+    channels: BTreeMap<(usize, Role), u16>,
+    /// For each camera: added to its device clock to make a log time; set by its first image.
+    clock_offsets: Vec<Option<i64>>,
+    first_log_ns: Option<u64>,
+    /// Size at the last key frame, and the most bytes between two.
+    key_at: u64,
+    group: u64,
+}
+
+/// Parts that are complete.
+#[derive(Default)]
+struct Finished {
+    parts: u32,
+    frames: u64,
+    key_frames: u64,
+    color_frames: u64,
+    bytes: u64,
 }
 
 impl RecordingWriter {
-    /// Opens the target and writes the container's beginning: the camera is safe before the
-    /// first frame comes.
+    /// Opens the target for one camera and writes the container's beginning: the camera is safe
+    /// before the first frame comes.
     ///
     /// # Errors
     /// [`RecordingError::Exists`], [`RecordingError::Unwritable`], or a write error.
@@ -116,117 +123,116 @@ impl RecordingWriter {
         camera: &Camera,
         options: &WriterOptions,
     ) -> Result<Self, RecordingError> {
-        let name = target.name();
-        let sink = Sink::open(target)?;
-        let written = sink.written();
-        let container = mcap::WriteOptions::new()
-            .library(generator())
-            .chunk_size(None) // closed here, by time and size
-            .compression(None)
-            .disable_seeking(true)
-            .create(NoSeek::new(sink))
-            .map_err(|e| write_error(e, &name, 0, 0))?;
-        let mut writer = Self {
-            container: Some(container),
-            target: name,
+        let only = CameraStream {
+            name: String::new(),
             camera: camera.clone(),
-            saint: 0,
-            calibration: 0,
-            camera_channel: 0,
-            statistics: None,
-            color: None,
-            tally: Tally::default(),
-            chunk: Chunk::default(),
-            clock_offset: None,
-            kept_frames: 0,
-            kept_bytes: 0,
-            written,
-            described: false,
-            message: Vec::new(),
+            notes: BTreeMap::new(),
         };
-        writer.begin(&options.notes)?;
-        Ok(writer)
+        Self::create_rig(target, vec![only], options)
     }
 
-    /// Channels every recording has, in a chunk of their own.
-    fn begin(&mut self, notes: &BTreeMap<String, String>) -> Result<(), RecordingError> {
-        let mut facts = notes.clone();
-        facts.insert("generator".to_owned(), generator());
-        facts.insert("camera".to_owned(), camera_text(&self.camera));
-        let schema = ("saint-live.frame", "text", SAINT_SCHEMA.to_owned());
-        self.saint = self.add_channel(SAINT_TOPIC, SAINT_ENCODING, schema, &facts)?;
-        self.calibration = self.add_json(
-            CALIBRATION_TOPIC,
-            CALIBRATION_SCHEMA,
-            &calibration_schema().to_string(),
-        )?;
-        self.camera_channel =
-            self.add_json(CAMERA_TOPIC, CAMERA_SCHEMA, &camera_schema().to_string())?;
-        self.tally.open_chunk();
-        self.close_chunk()
+    /// As [`create`](Self::create) for several cameras, which have different names.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_rig(
+        target: Target,
+        cameras: Vec<CameraStream>,
+        options: &WriterOptions,
+    ) -> Result<Self, RecordingError> {
+        let streams: Vec<_> = cameras
+            .into_iter()
+            .map(|stream| Stream {
+                name: stream.name,
+                camera: stream.camera,
+                notes: options
+                    .notes
+                    .clone()
+                    .into_iter()
+                    .chain(stream.notes)
+                    .collect(),
+                lags: false,
+                span_ns: None,
+            })
+            .collect();
+        let mut names = options.split.map(|_| Names::new(&target)).transpose()?;
+        let (target, number) = match &mut names {
+            Some(names) => names.next(),
+            None => (target, 0),
+        };
+        Ok(Self {
+            current: Open::create(target, number, &streams, options)?,
+            streams,
+            options: options.clone(),
+            names,
+            closing: None,
+            finished: Finished::default(),
+            message: Vec::new(),
+        })
     }
 
-    /// Appends one frame.
+    /// Appends one frame of the first camera.
     ///
     /// # Errors
     /// A write error says how many frames are safe; the recording is closed by it.
     pub fn frame(&mut self, frame: &EncodedFrame) -> Result<(), RecordingError> {
-        let mut message = std::mem::take(&mut self.message);
-        message::write(frame, &mut message);
+        self.frame_of(0, frame)
+    }
+
+    /// Appends one frame of camera number `camera`.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn frame_of(&mut self, camera: usize, frame: &EncodedFrame) -> Result<(), RecordingError> {
         let header = FrameHeader {
             key: frame.key,
             sequence: frame.sequence,
             time: frame.time,
         };
-        let kind = if header.key {
-            Kind::Key(header.time.device_ns)
-        } else {
-            Kind::Predicted(header.time.device_ns)
-        };
-        self.set_clock(header.time);
+        if header.key {
+            self.turn_page(camera, header.time)?;
+        }
+        let mut message = std::mem::take(&mut self.message);
+        message::write(frame, &mut message);
+        let place = (camera, Role::Saint);
         let result = self.put(
-            self.saint,
-            SAINT_TOPIC,
+            place,
             (header.sequence, header.time),
-            kind,
+            Some(header),
             &message,
         );
-        if result.is_ok() {
-            self.tally.frame(&header);
-        }
         self.message = message;
-        result
+        result?;
+        let now_ns = header.time.device_ns;
+        let span = &mut self.streams[camera].span_ns;
+        *span = Some((span.map_or(now_ns, |(first, _)| first), now_ns));
+        Ok(())
     }
 
-    /// Appends one colour image, its bytes untouched.
+    /// Appends one colour image of the first camera, its bytes untouched.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
     pub fn color(&mut self, frame: &ColorFrame) -> Result<(), RecordingError> {
-        let channel = match self.color {
-            Some(channel) => channel,
-            None => {
-                let schema = (color::SCHEMA, "ros2msg", color::DEFINITION.to_owned());
-                let channel = self.add_channel(COLOR_TOPIC, "cdr", schema, &BTreeMap::new())?;
-                *self.color.insert(channel)
-            }
-        };
-        self.set_clock(frame.time);
-        let stamp = self.log_time(frame.time);
+        self.color_of(0, frame)
+    }
+
+    /// Appends one colour image of camera number `camera`.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn color_of(&mut self, camera: usize, frame: &ColorFrame) -> Result<(), RecordingError> {
+        let lags = self.streams[camera].lags;
+        let stamp = self.page(lags).log_time(camera, frame.time, true);
         let mut message = std::mem::take(&mut self.message);
         color::write(frame, stamp, &mut message);
-        let result = self.put(
-            channel,
-            COLOR_TOPIC,
-            (frame.sequence, frame.time),
-            Kind::Other,
-            &message,
-        );
+        let place = (camera, Role::Color);
+        let result = self.put(place, (frame.sequence, frame.time), None, &message);
         self.message = message;
         result
     }
 
-    /// Appends one set of statistics, at the time of the frame they follow.
+    /// Appends one set of statistics of the first camera, at the time of the frame they follow.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
@@ -235,34 +241,35 @@ impl RecordingWriter {
         statistics: &serde_json::Value,
         time: FrameTime,
     ) -> Result<(), RecordingError> {
-        let channel = match self.statistics {
-            Some(channel) => channel,
-            None => {
-                let schema = r#"{"title":"saint-live.statistics","type":"object"}"#;
-                let channel = self.add_json(STATISTICS_TOPIC, "saint-live.statistics", schema)?;
-                *self.statistics.insert(channel)
-            }
-        };
-        let text = statistics.to_string();
-        self.put(
-            channel,
-            STATISTICS_TOPIC,
-            (0, time),
-            Kind::Other,
-            text.as_bytes(),
-        )
+        self.statistics_of(0, statistics, time)
     }
 
-    /// Closes the chunk that is open if it is a second old. Call it while no frame comes, so that
-    /// a stalled camera does not keep frames from the disk.
+    /// Appends one set of statistics of camera number `camera`.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn statistics_of(
+        &mut self,
+        camera: usize,
+        statistics: &serde_json::Value,
+        time: FrameTime,
+    ) -> Result<(), RecordingError> {
+        let text = statistics.to_string();
+        self.put((camera, Role::Statistics), (0, time), None, text.as_bytes())
+    }
+
+    /// Closes the chunk that is open if it is old enough. Call it while no frame comes, so that a
+    /// stalled camera does not keep frames from the disk.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
     pub fn idle(&mut self) -> Result<(), RecordingError> {
-        match self.chunk.since {
-            Some(since) if since.elapsed() >= CHUNK_AGE => self.close_chunk(),
-            _ => Ok(()),
-        }
+        let result = self
+            .closing
+            .as_mut()
+            .map_or(Ok(()), |open| open.part.idle());
+        let result = result.and_then(|()| self.current.part.idle());
+        result.map_err(|error| self.beside(error))
     }
 
     /// Writes the index and the end mark.
@@ -270,224 +277,295 @@ impl RecordingWriter {
     /// # Errors
     /// As [`frame`](Self::frame); closed chunks stay readable then.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
-        self.finalise()?;
+        self.close_lagging()?;
+        let result = self.current.part.finish();
+        result.map_err(|error| self.beside(error))?;
+        self.finished.add(&self.current.part);
         Ok(RecordingSummary {
-            target: self.target.clone(),
-            frames: self.tally.frames,
-            key_frames: self.tally.key_frames.len() as u64,
-            color_frames: self
-                .tally
-                .channels
-                .get(COLOR_TOPIC)
-                .map_or(0, |t| t.messages),
-            bytes: self.kept_bytes,
+            target: self.current.part.target.clone(),
+            parts: self.finished.parts,
+            frames: self.finished.frames,
+            key_frames: self.finished.key_frames,
+            color_frames: self.finished.color_frames,
+            bytes: self.finished.bytes,
             duration_ns: self
-                .tally
-                .last
-                .device_ns
-                .saturating_sub(self.tally.first.device_ns),
+                .streams
+                .first()
+                .and_then(|stream| stream.span_ns)
+                .map_or(0, |(first, last)| last.saturating_sub(first)),
         })
     }
 
     /// Frames that are safe whatever happens next.
     #[must_use]
     pub fn kept_frames(&self) -> u64 {
-        self.kept_frames
+        let closing = self.closing.as_ref().map_or(0, |o| o.part.kept_frames);
+        self.finished.frames + closing + self.current.part.kept_frames
     }
 
     /// Bytes that are safe whatever happens next.
     #[must_use]
     pub fn kept_bytes(&self) -> u64 {
-        self.kept_bytes
+        let closing = self.closing.as_ref().map_or(0, |o| o.part.kept_bytes);
+        self.finished.bytes + closing + self.current.part.kept_bytes
     }
 
-    fn finalise(&mut self) -> Result<(), RecordingError> {
-        if self.chunk.since.is_some() {
-            self.close_chunk()?;
+    /// At a key frame of `camera`: begins a new part where one is due, or lets the camera leave
+    /// the part before.
+    fn turn_page(&mut self, camera: usize, time: FrameTime) -> Result<(), RecordingError> {
+        if std::mem::take(&mut self.streams[camera].lags) {
+            if self.streams.iter().all(|stream| !stream.lags) {
+                self.close_lagging()?;
+            }
+            return Ok(());
         }
-        let index = Metadata {
-            name: tally::RECORD.to_owned(),
-            metadata: self.tally.to_metadata(),
-        };
-        self.with(|container| {
-            container.write_metadata(&index)?;
-            container.finish().map(|_| ())
-        })?;
-        let Some(container) = self.container.take() else {
+        let (Some(split), Some(names)) = (self.options.split, &mut self.names) else {
             return Ok(());
         };
-        let mut sink = container.into_inner().into_inner();
-        let end = sink.flush().and_then(|()| sink.sync());
-        if let Err(source) = end {
-            sink.keep(self.kept_bytes);
-            return Err(self.write_error(source.into()));
+        let now_ns = self.current.log_time(camera, time, false);
+        if !self.current.grown(now_ns).is_some_and(|g| split.is_due(g)) {
+            return Ok(());
         }
-        self.kept_bytes = self.written.load(Ordering::Relaxed);
+        let (target, number) = names.next();
+        // a camera that fell silent does not keep the part before the last open
+        self.close_lagging()?;
+        let next = Open::create(target, number, &self.streams, &self.options);
+        let next = next.map_err(|error| self.beside(error))?;
+        self.closing = Some(std::mem::replace(&mut self.current, next));
+        for (n, stream) in self.streams.iter_mut().enumerate() {
+            stream.lags = n != camera;
+        }
+        if self.streams.len() == 1 {
+            self.close_lagging()?;
+        }
         Ok(())
     }
 
-    /// One message into the open chunk, after closing it if it is full.
+    /// Completes the part before, where it is still open.
+    fn close_lagging(&mut self) -> Result<(), RecordingError> {
+        for stream in &mut self.streams {
+            stream.lags = false;
+        }
+        let Some(mut open) = self.closing.take() else {
+            return Ok(());
+        };
+        let result = open.part.finish();
+        self.finished.add(&open.part);
+        result.map_err(|error| self.beside(error))
+    }
+
+    /// The part a camera's messages go to.
+    fn page(&mut self, lags: bool) -> &mut Open {
+        match &mut self.closing {
+            Some(open) if lags => open,
+            _ => &mut self.current,
+        }
+    }
+
     fn put(
         &mut self,
-        channel: u16,
-        topic: &'static str,
-        (sequence, time): (u64, FrameTime),
-        kind: Kind,
+        (camera, role): (usize, Role),
+        stamp: (u64, FrameTime),
+        header: Option<FrameHeader>,
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        if data.len() > MAX_MESSAGE {
-            return Err(RecordingError::TooLarge {
-                target: self.target.clone(),
-                topic,
-                bytes: data.len(),
-                limit: MAX_MESSAGE,
-            });
-        }
-        let now = Instant::now();
-        if self.chunk.is_full(kind, data.len(), now) {
-            self.close_chunk()?;
-        }
-        if self.chunk.since.is_none() {
-            self.tally.open_chunk();
-            self.chunk.since = Some(now);
-        }
-        if let Kind::Key(ns) | Kind::Predicted(ns) = kind {
-            self.chunk.first_ns.get_or_insert(ns);
-        }
-        if !self.described {
-            self.describe_camera(time)?;
-        }
-        self.append(channel, topic, (sequence, time), data)
-    }
-
-    /// The camera's two messages, at the first message's time.
-    fn describe_camera(&mut self, time: FrameTime) -> Result<(), RecordingError> {
-        self.described = true;
-        let stamp = self.log_time(time);
-        let text = calibration(&self.camera, stamp).to_string();
-        self.append(
-            self.calibration,
-            CALIBRATION_TOPIC,
-            (0, time),
-            text.as_bytes(),
-        )?;
-        let text = camera_text(&self.camera);
-        self.append(
-            self.camera_channel,
-            CAMERA_TOPIC,
-            (0, time),
-            text.as_bytes(),
-        )
-    }
-
-    fn append(
-        &mut self,
-        channel_id: u16,
-        topic: &'static str,
-        (sequence, time): (u64, FrameTime),
-        data: &[u8],
-    ) -> Result<(), RecordingError> {
-        let log_time = self.log_time(time);
-        let header = MessageHeader {
-            channel_id,
-            sequence: sequence as u32, // MCAP's field; the whole number stands in our header
-            log_time,
-            publish_time: match u64::try_from(time.wall_ns) {
-                Ok(wall) if wall > 0 => wall,
-                _ => log_time,
-            },
+        let stream = &self.streams[camera];
+        let open = match &mut self.closing {
+            Some(open) if stream.lags => open,
+            _ => &mut self.current,
         };
-        self.with(|container| container.write_to_known_channel(&header, data))?;
-        self.tally.message(topic, data.len());
-        self.chunk.bytes += data.len();
+        let result = open.put(stream, (camera, role), stamp, header, data);
+        result.map_err(|error| self.beside(error))
+    }
+
+    /// An error of one part speaks for the whole recording.
+    fn beside(&self, error: RecordingError) -> RecordingError {
+        error.beside(self.finished.frames, self.finished.bytes)
+    }
+}
+
+impl Finished {
+    fn add(&mut self, part: &Part) {
+        let tally = &part.tally;
+        let color = tally.channels.iter().filter(|(topic, _)| {
+            let (camera, _) = super::topics::split(topic);
+            **topic == Role::Color.topic(camera)
+        });
+        self.parts += 1;
+        self.frames += part.kept_frames;
+        self.key_frames += tally
+            .streams
+            .values()
+            .map(|stream| stream.key_frames.len() as u64)
+            .sum::<u64>();
+        self.color_frames += color.map(|(_, traffic)| traffic.messages).sum::<u64>();
+        self.bytes += part.kept_bytes;
+    }
+}
+
+impl Open {
+    /// Opens a part with the channels every camera has, in a chunk of their own.
+    fn create(
+        target: Target,
+        number: u32,
+        streams: &[Stream],
+        options: &WriterOptions,
+    ) -> Result<Self, RecordingError> {
+        let mut open = Self {
+            part: Part::create(target, options.sync, &generator())?,
+            channels: BTreeMap::new(),
+            clock_offsets: vec![None; streams.len()],
+            first_log_ns: None,
+            key_at: 0,
+            group: 0,
+        };
+        for (n, stream) in streams.iter().enumerate() {
+            let mut facts = stream.notes.clone();
+            facts.insert("generator".to_owned(), generator());
+            facts.insert("camera".to_owned(), camera_text(&stream.camera));
+            if number > 0 {
+                facts.insert("part".to_owned(), number.to_string());
+            }
+            let schema = ("saint-live.frame", "text", SAINT_SCHEMA.as_bytes());
+            let topic = Role::Saint.topic(&stream.name);
+            let id = open
+                .part
+                .add_channel(&topic, SAINT_ENCODING, schema, &facts)?;
+            open.channels.insert((n, Role::Saint), id);
+            open.channel(stream, (n, Role::Calibration))?;
+            open.channel(stream, (n, Role::Camera))?;
+        }
+        open.part.close_chunk()?;
+        open.key_at = open.part.size();
+        Ok(open)
+    }
+
+    /// Number of a channel, which is added where it is new.
+    fn channel(&mut self, stream: &Stream, place: (usize, Role)) -> Result<u16, RecordingError> {
+        if let Some(id) = self.channels.get(&place) {
+            return Ok(*id);
+        }
+        let json = |name, text: String| (name, "jsonschema", text);
+        let (name, schema_encoding, schema) = match place.1 {
+            Role::Saint => ("saint-live.frame", "text", SAINT_SCHEMA.to_owned()),
+            Role::Calibration => json(CALIBRATION_SCHEMA, calibration_schema().to_string()),
+            Role::Camera => json(CAMERA_SCHEMA, camera_schema().to_string()),
+            Role::Statistics => json(
+                "saint-live.statistics",
+                r#"{"title":"saint-live.statistics","type":"object"}"#.to_owned(),
+            ),
+            Role::Color => (color::SCHEMA, "ros2msg", color::DEFINITION.to_owned()),
+        };
+        let encoding = match place.1 {
+            Role::Saint => SAINT_ENCODING,
+            Role::Color => "cdr",
+            _ => "json",
+        };
+        let topic = place.1.topic(&stream.name);
+        let schema = (name, schema_encoding, schema.as_bytes());
+        let id = self
+            .part
+            .add_channel(&topic, encoding, schema, &BTreeMap::new())?;
+        self.channels.insert(place, id);
+        Ok(id)
+    }
+
+    fn put(
+        &mut self,
+        stream: &Stream,
+        (camera, role): (usize, Role),
+        (sequence, time): (u64, FrameTime),
+        header: Option<FrameHeader>,
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        let is_image = matches!(role, Role::Saint | Role::Color);
+        let log_time = self.log_time(camera, time, is_image);
+        self.describe_camera(stream, camera, time, log_time)?;
+        let channel = self.channel(stream, (camera, role))?;
+        self.part.put(&Message {
+            channel,
+            topic: &role.topic(&stream.name),
+            sequence: sequence as u32, // the whole number stands in the frame's own header
+            log_time,
+            publish_time: publish_time(time, log_time),
+            kind: header.map_or(Kind::Other, |header| Kind::Frame(&stream.name, header)),
+            data,
+        })?;
+        if header.is_some() {
+            self.first_log_ns.get_or_insert(log_time);
+        }
         Ok(())
     }
 
-    /// The first image decides how the device clock is moved to the wall clock.
-    fn set_clock(&mut self, time: FrameTime) {
-        self.clock_offset.get_or_insert(match time.wall_ns {
+    /// The camera's two messages, before its first message and at its time.
+    fn describe_camera(
+        &mut self,
+        stream: &Stream,
+        camera: usize,
+        time: FrameTime,
+        log_time: u64,
+    ) -> Result<(), RecordingError> {
+        let topic = Role::Camera.topic(&stream.name);
+        if self.part.tally.channels.contains_key(&topic) {
+            return Ok(());
+        }
+        let texts = [
+            (
+                Role::Calibration,
+                calibration(&stream.camera, log_time).to_string(),
+            ),
+            (Role::Camera, camera_text(&stream.camera)),
+        ];
+        for (role, text) in texts {
+            let channel = self.channel(stream, (camera, role))?;
+            self.part.put(&Message {
+                channel,
+                topic: &role.topic(&stream.name),
+                sequence: 0,
+                log_time,
+                publish_time: publish_time(time, log_time),
+                kind: Kind::Other,
+                data: text.as_bytes(),
+            })?;
+        }
+        Ok(())
+    }
+
+    /// MCAP's log time: the device clock, moved to the wall clock of the camera's first image.
+    fn log_time(&mut self, camera: usize, time: FrameTime, is_image: bool) -> u64 {
+        let offset = match time.wall_ns {
             0 => 0,
             wall => wall.saturating_sub(time.device_ns),
-        });
+        };
+        let known = &mut self.clock_offsets[camera];
+        let offset = if is_image {
+            *known.get_or_insert(offset)
+        } else {
+            known.unwrap_or(0)
+        };
+        u64::try_from(time.device_ns.saturating_add(offset)).unwrap_or(0)
     }
 
-    /// MCAP's log time: the device clock, moved.
-    fn log_time(&self, time: FrameTime) -> u64 {
-        let moved = time
-            .device_ns
-            .saturating_add(self.clock_offset.unwrap_or(0));
-        u64::try_from(moved).unwrap_or(0)
-    }
-
-    fn close_chunk(&mut self) -> Result<(), RecordingError> {
-        self.with(mcap::Writer::flush)?;
-        self.chunk = Chunk::default();
-        self.kept_frames = self.tally.frames;
-        self.kept_bytes = self.written.load(Ordering::Relaxed);
-        Ok(())
-    }
-
-    fn add_json(&mut self, topic: &str, name: &str, schema: &str) -> Result<u16, RecordingError> {
-        let schema = (name, "jsonschema", schema.to_owned());
-        self.add_channel(topic, "json", schema, &BTreeMap::new())
-    }
-
-    fn add_channel(
-        &mut self,
-        topic: &str,
-        encoding: &str,
-        (name, schema_encoding, schema): (&str, &str, String),
-        metadata: &BTreeMap<String, String>,
-    ) -> Result<u16, RecordingError> {
-        self.with(|container| {
-            let id = container.add_schema(name, schema_encoding, schema.as_bytes())?;
-            container.add_channel(id, topic, encoding, metadata)
+    /// What the part has grown to before a key frame at `log_ns`; `None` for an empty one.
+    fn grown(&mut self, log_ns: u64) -> Option<Grown> {
+        let first = self.first_log_ns?;
+        let bytes = self.part.size();
+        self.group = self.group.max(bytes.saturating_sub(self.key_at));
+        self.key_at = bytes;
+        Some(Grown {
+            bytes,
+            group: self.group,
+            span_ns: log_ns.saturating_sub(first),
         })
     }
-
-    /// Runs one step of the container. After an error nothing more is written, and a file is
-    /// shortened to its last whole chunk.
-    fn with<T>(
-        &mut self,
-        step: impl FnOnce(&mut mcap::Writer<NoSeek<Sink>>) -> Result<T, McapError>,
-    ) -> Result<T, RecordingError> {
-        let Some(mut container) = self.container.take() else {
-            return Err(RecordingError::Finished {
-                target: self.target.clone(),
-                frames: self.kept_frames,
-            });
-        };
-        match step(&mut container) {
-            Ok(value) => {
-                self.container = Some(container);
-                Ok(value)
-            }
-            Err(error) => {
-                container.into_inner().into_inner().keep(self.kept_bytes);
-                Err(self.write_error(error))
-            }
-        }
-    }
-
-    fn write_error(&self, error: McapError) -> RecordingError {
-        write_error(error, &self.target, self.kept_frames, self.kept_bytes)
-    }
 }
 
-impl Drop for RecordingWriter {
-    fn drop(&mut self) {
-        if self.container.is_some() {
-            let _ = self.finalise();
-        }
+/// The wall time, where it is known.
+fn publish_time(time: FrameTime, log_time: u64) -> u64 {
+    match u64::try_from(time.wall_ns) {
+        Ok(wall) if wall > 0 => wall,
+        _ => log_time,
     }
-}
-
-/// What the chunking rule wants to know of a message: a frame's device time, ns.
-#[derive(Clone, Copy)]
-enum Kind {
-    Key(i64),
-    Predicted(i64),
-    Other,
 }
 
 /// The `saint` channel's schema: where to read on.
@@ -497,36 +575,7 @@ u8 kind ('K' decodes alone, 'P' needs the frame before it), u64 sequence, i64 de
 i64 wall clock ns, then the payload that src/codec/FORMAT.md of saint-live describes.
 ";
 
-fn generator() -> String {
+/// What wrote the file.
+pub(super) fn generator() -> String {
     concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned()
-}
-
-fn write_error(error: McapError, target: &str, frames: u64, bytes: u64) -> RecordingError {
-    let target = target.to_owned();
-    match error {
-        McapError::Io(source) => match source.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => RecordingError::DiskFull {
-                target,
-                frames,
-                bytes,
-                source,
-            },
-            io::ErrorKind::BrokenPipe => RecordingError::Closed {
-                target,
-                frames,
-                bytes,
-                source,
-            },
-            _ => RecordingError::Write {
-                target,
-                frames,
-                bytes,
-                source,
-            },
-        },
-        other => RecordingError::Container {
-            target,
-            what: other.to_string(),
-        },
-    }
 }
