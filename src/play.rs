@@ -90,10 +90,14 @@ pub struct PlayOptions {
     pub speed: f64,
     /// Begin again at the end, for ever.
     pub looped: bool,
+    /// From the last frame to the first.
+    pub reverse: bool,
     /// First frame that is shown.
     pub from: u64,
     /// Frame that ends the playback, not shown itself.
     pub to: u64,
+    /// Show this frame first and hold it until told to go on.
+    pub hold_at: Option<u64>,
 }
 
 impl Default for PlayOptions {
@@ -101,16 +105,36 @@ impl Default for PlayOptions {
         Self {
             speed: 1.0,
             looped: false,
+            reverse: false,
             from: 0,
             to: u64::MAX,
+            hold_at: None,
         }
     }
+}
+
+/// What the user asks for while a recording plays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// End.
+    Stop,
+    /// Hold the picture, or go on.
+    Pause,
+    /// So many frames on (or back) from the one shown, and hold.
+    Step(i64),
+    /// To this frame, and hold.
+    To(u64),
 }
 
 /// A source of frames, one after another.
 pub trait Frames {
     /// What ends the playback.
     type Error;
+    /// A decoded frame put aside.
+    type Kept;
+
+    /// Number of frames.
+    fn frames(&self) -> u64;
 
     /// Goes to where frame `frame` can be decoded from; gives the number of the frame that
     /// [`advance`](Self::advance) decodes next.
@@ -124,6 +148,12 @@ pub trait Frames {
     /// # Errors
     /// The source's own.
     fn advance(&mut self) -> Result<Option<(u64, i64)>, Self::Error>;
+
+    /// Puts the frame last decoded aside.
+    fn keep(&self) -> Self::Kept;
+
+    /// Makes a frame that was put aside the one last decoded, as far as showing it goes.
+    fn put_back(&mut self, kept: Self::Kept);
 }
 
 /// A clock to play by.
@@ -163,13 +193,17 @@ pub struct PlayReport {
     pub skipped: u64,
     /// Rounds begun.
     pub rounds: u64,
+    /// Number of the first frame shown.
+    pub first: Option<u64>,
+    /// Number of the last frame shown.
+    pub last: Option<u64>,
 }
 
-/// Longest single wait, so that `show` or the caller's stop flag is asked often enough.
-const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// Longest single wait, so that `show` or the caller's commands are asked for often enough.
+const LONGEST_WAIT: Duration = Duration::from_millis(20);
 
-/// Plays `frames`: calls `show` with each frame's number when it is due. `keep_on` is asked before
-/// each wait and each frame; `false` ends the playback.
+/// Plays `frames`: calls `show` with each frame's number when it is due. `command` is asked before
+/// each wait and each frame.
 ///
 /// A frame is late when the time of one whole frame has gone since it was due: the gap to the
 /// frame before stands for the gap to the next, which is not decoded yet. The last frame may be
@@ -181,60 +215,282 @@ pub fn play<F: Frames>(
     frames: &mut F,
     options: &PlayOptions,
     clock: &mut impl Clock,
-    mut keep_on: impl FnMut() -> bool,
-    mut show: impl FnMut(&mut F, u64) -> Result<(), F::Error>,
+    command: impl FnMut() -> Option<Command>,
+    show: impl FnMut(&mut F, u64) -> Result<(), F::Error>,
 ) -> Result<PlayReport, F::Error> {
-    let mut report = PlayReport::default();
-    let mut pacer = Pacer::new(options.speed);
-    loop {
-        report.rounds += 1;
-        let seen = report.shown + report.skipped;
-        frames.seek(options.from)?;
-        let mut step = None;
-        let mut in_a_row = 0;
-        let mut last_ns = None;
-        while let Some((number, time_ns)) = frames.advance()? {
-            if number >= options.to || !keep_on() {
-                break;
+    let player = Player {
+        walk: Walk::new(options, frames.frames()),
+        frames,
+        clock,
+        command,
+        show,
+        pacer: Pacer::new(options.speed),
+        report: PlayReport::default(),
+    };
+    player.run(options)
+}
+
+/// What comes after a frame.
+enum Then {
+    Next,
+    Stop,
+}
+
+struct Player<'a, F: Frames, C, A, S> {
+    frames: &'a mut F,
+    clock: &'a mut C,
+    command: A,
+    show: S,
+    walk: Walk<F::Kept>,
+    pacer: Pacer,
+    report: PlayReport,
+}
+
+impl<F, C, A, S> Player<'_, F, C, A, S>
+where
+    F: Frames,
+    C: Clock,
+    A: FnMut() -> Option<Command>,
+    S: FnMut(&mut F, u64) -> Result<(), F::Error>,
+{
+    fn run(mut self, options: &PlayOptions) -> Result<PlayReport, F::Error> {
+        if let Some(frame) = options.hold_at {
+            self.go(frame)?;
+            if let Then::Stop = self.hold()? {
+                return Ok(self.report);
             }
-            if number < options.from {
-                continue;
+        }
+        loop {
+            self.report.rounds += 1;
+            let seen = self.report.shown + self.report.skipped;
+            // a frame that was held is where the first round begins
+            if self.report.rounds > 1 || options.hold_at.is_none() {
+                self.walk.begin(self.frames)?;
             }
-            if let Some(last_ns) = last_ns.replace(time_ns) {
-                step = Some(time_ns.saturating_sub(last_ns));
-            }
-            let due = pacer.due(time_ns, clock.now());
-            loop {
-                let pace = match pacer.pace(due, step, clock.now()) {
-                    Pace::Skip if in_a_row == MOST_SKIPPED => Pace::Show,
-                    pace => pace,
+            let mut before: Option<i64> = None;
+            let mut in_a_row = 0;
+            while let Some((number, time_ns)) = self.walk.next(self.frames)? {
+                let time_ns = if options.reverse {
+                    time_ns.saturating_neg()
+                } else {
+                    time_ns
                 };
-                match pace {
-                    Pace::Wait(time) => {
-                        clock.wait(time.min(LONGEST_WAIT));
-                        if !keep_on() {
-                            return Ok(report);
-                        }
+                let step = before.map(|before| time_ns.saturating_sub(before));
+                before = Some(time_ns);
+                if let Then::Stop = self.present(number, time_ns, step, &mut in_a_row)? {
+                    return Ok(self.report);
+                }
+            }
+            let empty = self.report.shown + self.report.skipped == seen;
+            if !options.looped || empty || (self.command)() == Some(Command::Stop) {
+                return Ok(self.report);
+            }
+            self.pacer.restart();
+        }
+    }
+
+    /// Waits until a frame is due and shows it, or leaves it out.
+    fn present(
+        &mut self,
+        number: u64,
+        time_ns: i64,
+        step: Option<i64>,
+        in_a_row: &mut u64,
+    ) -> Result<Then, F::Error> {
+        let mut due = self.pacer.due(time_ns, self.clock.now());
+        loop {
+            match (self.command)() {
+                None => {}
+                Some(Command::Stop) => return Ok(Then::Stop),
+                Some(Command::Pause) => {
+                    let shown = self.report.shown;
+                    if let Then::Stop = self.hold()? {
+                        return Ok(Then::Stop);
                     }
-                    Pace::Show => {
-                        show(frames, number)?;
-                        report.shown += 1;
-                        in_a_row = 0;
-                        break;
+                    if self.report.shown > shown {
+                        return Ok(Then::Next); // the user has gone elsewhere
                     }
-                    Pace::Skip => {
-                        report.skipped += 1;
-                        in_a_row += 1;
-                        break;
-                    }
+                    due = self.pacer.due(time_ns, self.clock.now());
+                }
+                Some(command) => {
+                    self.obey(command)?;
+                    return self.hold();
+                }
+            }
+            let pace = match self.pacer.pace(due, step, self.clock.now()) {
+                Pace::Skip if *in_a_row == MOST_SKIPPED => Pace::Show,
+                pace => pace,
+            };
+            match pace {
+                Pace::Wait(time) => self.clock.wait(time.min(LONGEST_WAIT)),
+                Pace::Show => {
+                    *in_a_row = 0;
+                    self.show(number)?;
+                    return Ok(Then::Next);
+                }
+                Pace::Skip => {
+                    *in_a_row += 1;
+                    self.report.skipped += 1;
+                    return Ok(Then::Next);
                 }
             }
         }
-        let empty = report.shown + report.skipped == seen;
-        if !options.looped || empty || !keep_on() {
-            return Ok(report);
+    }
+
+    /// Holds the picture until told to go on.
+    fn hold(&mut self) -> Result<Then, F::Error> {
+        loop {
+            match (self.command)() {
+                None => self.clock.wait(LONGEST_WAIT),
+                Some(Command::Stop) => return Ok(Then::Stop),
+                Some(Command::Pause) => {
+                    self.pacer.restart();
+                    return Ok(Then::Next);
+                }
+                Some(command) => self.obey(command)?,
+            }
         }
-        pacer.restart();
+    }
+
+    fn obey(&mut self, command: Command) -> Result<(), F::Error> {
+        match command {
+            Command::Step(frames) => {
+                let shown = self.report.last.unwrap_or(0);
+                self.go(shown.saturating_add_signed(frames))
+            }
+            Command::To(frame) => self.go(frame),
+            Command::Stop | Command::Pause => Ok(()),
+        }
+    }
+
+    /// Shows a frame out of the order, at once.
+    fn go(&mut self, frame: u64) -> Result<(), F::Error> {
+        match self.walk.go(self.frames, frame)? {
+            Some(number) => self.show(number),
+            None => Ok(()),
+        }
+    }
+
+    fn show(&mut self, number: u64) -> Result<(), F::Error> {
+        (self.show)(self.frames, number)?;
+        self.report.shown += 1;
+        self.report.first.get_or_insert(number);
+        self.report.last = Some(number);
+        Ok(())
+    }
+}
+
+/// Frames kept at the most while a recording is played backwards.
+const MOST_KEPT: usize = 64;
+
+/// The order in which frames come. Backwards, the frames from a key frame on are decoded once, in
+/// order, and put aside; of a longer group the last [`MOST_KEPT`] are, and the others later.
+struct Walk<K> {
+    reverse: bool,
+    from: u64,
+    to: u64,
+    /// Frame that the source decodes next.
+    at: u64,
+    /// Backwards: the frame shown last, or the end.
+    above: u64,
+    kept: Vec<(u64, i64, K)>,
+}
+
+impl<K> Walk<K> {
+    fn new(options: &PlayOptions, frames: u64) -> Self {
+        Self {
+            reverse: options.reverse,
+            from: options.from,
+            to: options.to.min(frames),
+            at: 0,
+            above: 0,
+            kept: Vec::new(),
+        }
+    }
+
+    /// Goes to where the playback begins.
+    fn begin<F: Frames<Kept = K>>(&mut self, frames: &mut F) -> Result<(), F::Error> {
+        self.kept.clear();
+        self.above = self.to;
+        if !self.reverse {
+            self.at = frames.seek(self.from)?;
+        }
+        Ok(())
+    }
+
+    /// The next frame: its number and time, ns.
+    fn next<F: Frames<Kept = K>>(
+        &mut self,
+        frames: &mut F,
+    ) -> Result<Option<(u64, i64)>, F::Error> {
+        if self.reverse {
+            return self.back(frames);
+        }
+        while let Some((number, time_ns)) = frames.advance()? {
+            self.at = number + 1;
+            if number >= self.to {
+                break;
+            }
+            if number >= self.from {
+                return Ok(Some((number, time_ns)));
+            }
+        }
+        Ok(None)
+    }
+
+    fn back<F: Frames<Kept = K>>(
+        &mut self,
+        frames: &mut F,
+    ) -> Result<Option<(u64, i64)>, F::Error> {
+        while self.kept.is_empty() && self.above > self.from {
+            let target = self.above - 1;
+            let key = frames.seek(target)?;
+            while let Some((number, time_ns)) = frames.advance()? {
+                if number > target {
+                    break;
+                }
+                if number >= self.from {
+                    if self.kept.len() == MOST_KEPT {
+                        self.kept.remove(0);
+                    }
+                    self.kept.push((number, time_ns, frames.keep()));
+                }
+                if number == target {
+                    break;
+                }
+            }
+            // frames that cannot be decoded are passed over
+            self.above = self.kept.first().map_or(key.min(target), |kept| kept.0);
+        }
+        let Some((number, time_ns, kept)) = self.kept.pop() else {
+            return Ok(None);
+        };
+        frames.put_back(kept);
+        Ok(Some((number, time_ns)))
+    }
+
+    /// Decodes the frame of this number, or the next that can be decoded; gives its number.
+    fn go<F: Frames<Kept = K>>(
+        &mut self,
+        frames: &mut F,
+        frame: u64,
+    ) -> Result<Option<u64>, F::Error> {
+        let Some(last) = self.to.checked_sub(1).filter(|last| *last >= self.from) else {
+            return Ok(None);
+        };
+        let target = frame.clamp(self.from, last);
+        self.kept.clear();
+        self.above = target;
+        if self.reverse || self.at != target {
+            self.at = frames.seek(target)?;
+        }
+        while let Some((number, _)) = frames.advance()? {
+            self.at = number + 1;
+            if number >= target {
+                return Ok(Some(number));
+            }
+        }
+        Ok(None)
     }
 }
 
@@ -251,6 +507,8 @@ mod tests {
         times: Vec<i64>,
         every: u64,
         at: u64,
+        /// The frame that would be shown.
+        now: u64,
         decoded: Vec<u64>,
         cost: Duration,
         clock: &'a Cell<Duration>,
@@ -258,6 +516,16 @@ mod tests {
 
     impl Frames for Tape<'_> {
         type Error = Infallible;
+        type Kept = u64;
+        fn frames(&self) -> u64 {
+            self.times.len() as u64
+        }
+        fn keep(&self) -> u64 {
+            self.at - 1
+        }
+        fn put_back(&mut self, kept: u64) {
+            self.now = kept;
+        }
         fn seek(&mut self, frame: u64) -> Result<u64, Infallible> {
             self.at = frame / self.every * self.every;
             Ok(self.at)
@@ -268,6 +536,7 @@ mod tests {
             };
             self.clock.set(self.clock.get() + self.cost);
             self.decoded.push(self.at);
+            self.now = self.at;
             self.at += 1;
             Ok(Some((self.at - 1, *time)))
         }
@@ -291,26 +560,42 @@ mod tests {
         options: PlayOptions,
         rounds: u64,
     ) -> (Vec<(u64, u64)>, PlayReport) {
+        let ended = Cell::new(0u64);
+        let count = times.len() as u64;
+        run_with(times, cost_ms, options, |shown| {
+            if shown.is_some_and(|number| number + 1 == count) {
+                ended.set(ended.get() + 1);
+            }
+            (shown.is_none() && ended.get() >= rounds).then_some(Command::Stop)
+        })
+    }
+
+    /// As [`run`]; `command` is told each frame shown, and asked with `None`.
+    fn run_with(
+        times: Vec<i64>,
+        cost_ms: u64,
+        options: PlayOptions,
+        command: impl Fn(Option<u64>) -> Option<Command>,
+    ) -> (Vec<(u64, u64)>, PlayReport) {
         let clock = Cell::new(Duration::from_secs(9));
         let mut tape = Tape {
             times,
             every: 10,
             at: 0,
+            now: 0,
             decoded: vec![],
             cost: Duration::from_millis(cost_ms),
             clock: &clock,
         };
         let mut shown = vec![];
-        let begun = Cell::new(0u64);
         let report = play(
             &mut tape,
             &options,
             &mut TestClock(&clock),
-            || begun.get() < rounds,
+            || command(None),
             |tape, number| {
-                if number + 1 == tape.times.len() as u64 {
-                    begun.set(begun.get() + 1);
-                }
+                assert_eq!(tape.now, number, "another frame is in the picture");
+                command(Some(number));
                 let now = clock.get() - Duration::from_secs(9);
                 shown.push((number, now.as_millis() as u64));
                 Ok(())
@@ -318,6 +603,144 @@ mod tests {
         );
         let Ok(report) = report;
         (shown, report)
+    }
+
+    /// Obeys a script: the command stands beside the number of frames shown before it.
+    fn scripted(script: &[(usize, Command)], options: PlayOptions) -> Vec<u64> {
+        let shown = Cell::new(0);
+        let at = Cell::new(0);
+        let (frames, _) = run_with(even(50), 0, options, |number| {
+            if number.is_some() {
+                shown.set(shown.get() + 1);
+                return None;
+            }
+            let (after, command) = script.get(at.get())?;
+            if shown.get() < *after {
+                return None;
+            }
+            at.set(at.get() + 1);
+            Some(*command)
+        });
+        frames.into_iter().map(|(number, _)| number).collect()
+    }
+
+    #[test]
+    fn frames_are_stepped_through_both_ways() {
+        use Command::{Pause, Step, Stop, To};
+        let shown = scripted(
+            &[
+                (3, Step(-1)),
+                (4, Step(-1)),
+                (5, Step(-1)),
+                (6, Step(1)),
+                (7, To(33)),
+                (8, Step(5)),
+                (9, Step(1000)),
+                (10, To(20)),
+                (11, Pause),
+                (13, Stop),
+            ],
+            PlayOptions::default(),
+        );
+        assert_eq!(shown, [0, 1, 2, 1, 0, 0, 1, 33, 38, 49, 20, 21, 22]);
+        let held = PlayOptions {
+            hold_at: Some(17),
+            ..PlayOptions::default()
+        };
+        let shown = scripted(
+            &[(1, Step(-1)), (2, Pause), (4, Pause), (4, Pause), (5, Stop)],
+            held,
+        );
+        assert_eq!(shown, [17, 16, 17, 18, 19]);
+    }
+
+    #[test]
+    fn backwards_shows_each_frame_in_its_time() {
+        let reverse = PlayOptions {
+            reverse: true,
+            from: 3,
+            to: 24,
+            ..PlayOptions::default()
+        };
+        let (shown, report) = run(even(50), 0, reverse, 9);
+        let expected: Vec<_> = (0..21).map(|n| (23 - n, n * 40)).collect();
+        assert_eq!(shown, expected);
+        assert_eq!((report.first, report.last), (Some(23), Some(3)));
+        let shown = scripted(
+            &[
+                (2, Command::Step(7)),
+                (3, Command::Pause),
+                (5, Command::Stop),
+            ],
+            PlayOptions {
+                reverse: true,
+                to: 40,
+                ..reverse
+            },
+        );
+        assert_eq!(shown, [39, 38, 39, 38, 37]);
+    }
+
+    #[test]
+    fn a_long_group_is_decoded_in_pieces_backwards() {
+        let clock = Cell::new(Duration::ZERO);
+        let mut tape = Tape {
+            times: even(200),
+            every: 200,
+            at: 0,
+            now: 0,
+            decoded: vec![],
+            cost: Duration::ZERO,
+            clock: &clock,
+        };
+        let reverse = PlayOptions {
+            reverse: true,
+            ..PlayOptions::default()
+        };
+        let mut walk = Walk::new(&reverse, 200);
+        walk.begin(&mut tape).unwrap();
+        for expected in (0..200).rev() {
+            assert_eq!(
+                walk.next(&mut tape).unwrap().map(|(n, _)| n),
+                Some(expected)
+            );
+            assert!(walk.kept.len() < MOST_KEPT);
+        }
+        assert_eq!(walk.next(&mut tape).unwrap(), None);
+    }
+
+    /// A clock that oversleeps by 300 µs each time, as systems do.
+    struct Sleepy(Duration);
+
+    impl Clock for Sleepy {
+        fn now(&self) -> Duration {
+            self.0
+        }
+        fn wait(&mut self, time: Duration) {
+            self.0 += time + Duration::from_micros(300);
+        }
+    }
+
+    #[test]
+    fn an_hour_drifts_by_less_than_a_millisecond() {
+        // 90 fps, times rounded to the nanosecond as a source does
+        let time = |n: u64| (n as f64 * 1e9 / 90.0).round() as i64;
+        for speed in [1.0, 0.7] {
+            let mut pacer = Pacer::new(speed);
+            let mut clock = Sleepy(Duration::from_secs(5));
+            let start = clock.now();
+            for n in 0..90 * 3600 {
+                let due = pacer.due(time(n), clock.now());
+                while let Pace::Wait(left) = pacer.pace(due, None, clock.now()) {
+                    clock.wait(left.min(LONGEST_WAIT));
+                }
+                let shown = clock.now() - start;
+                let right = time(n) as f64 * 1e-9 / speed;
+                let late = shown.as_secs_f64() - right;
+                // each is late by one oversleep, none by the sum of them
+                assert!((-1e-6..1e-3).contains(&late), "frame {n}: {late} s");
+            }
+        }
     }
 
     fn even(count: i64) -> Vec<i64> {

@@ -19,6 +19,10 @@ Examples:
   saint-live replay recordings/static_room -o x.mcap --max-error 5mm
   saint-live export x.mcap --to ply -o frames/";
 
+const PLAY_KEYS: &str = "\
+Keys: space holds and goes on, left and right (or , and .) step one frame, up and down one second, \
+Home and End go to the ends, q ends.";
+
 /// Turns a live depth camera into a stream of spheres and contact maps.
 #[derive(Debug, Parser)]
 #[command(name = "saint-live", version, after_help = AFTER_HELP)]
@@ -334,11 +338,19 @@ pub enum ExrDepthArg {
 
 /// `play`.
 #[derive(Debug, Args)]
+#[command(after_help = PLAY_KEYS)]
 pub struct PlayArgs {
     /// The recording.
     pub file: PathBuf,
     #[command(flatten)]
     pub range: RangeArgs,
+    /// Show this frame, counted from 0. A terminal holds it for you to step from; else it is the
+    /// only one.
+    #[arg(long, value_name = "N", conflicts_with_all = ["from", "to"])]
+    pub frame: Option<u64>,
+    /// From the last frame to the first.
+    #[arg(long)]
+    pub reverse: bool,
     /// Times the recorded pace.
     #[arg(long, default_value_t = 1.0, value_parser = factor)]
     pub speed: f64,

@@ -10,6 +10,7 @@ mod engine;
 mod export;
 mod failure;
 mod info;
+mod keyboard;
 mod machine;
 mod message;
 mod play;

@@ -3,7 +3,7 @@
 use super::args::{LateArg, LiveArgs, ReplayArgs, StreamArgs};
 use super::engine::{EncodeStage, Engine, ModelStage};
 use super::failure::{Failure, Kind};
-use super::sink::{self, Output};
+use super::sink;
 use super::source::{self, InputOptions};
 use super::status::Display;
 use super::{message, signals};
@@ -131,7 +131,7 @@ impl<'a> Run<'a> {
         self.engine.start_workers()?;
         let mut model = ModelStage::new(&camera, &self.engine)?;
         let mut encode = EncodeStage::new(&camera, &self.engine)?;
-        let mut output = Output::open(self.stream, &camera, self.engine.notes(&self.source))?;
+        let mut output = sink::open(self.stream, &camera, self.engine.notes(&self.source))?;
         let trace = self.trace()?;
         let options = Options {
             threads: self.engine.threads,

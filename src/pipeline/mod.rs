@@ -33,6 +33,7 @@ mod intake;
 pub mod mailbox;
 pub mod packet;
 pub mod percentiles;
+pub mod recorder;
 pub mod report;
 pub mod stages;
 pub mod statistics;

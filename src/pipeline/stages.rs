@@ -336,11 +336,7 @@ impl<'a> Shared<'a> {
         let drops = locked(&self.statistics).drops();
         let written = self.guarded(Stage::Sink, packet.depth.sequence, || {
             sink.account(&drops);
-            sink.frame(packet)?;
-            match &packet.color {
-                Some(color) => sink.color(color),
-                None => Ok(()),
-            }
+            sink.frame(packet)
         });
         if written.is_none() {
             self.give_up(Stage::Sink, packet);
@@ -352,12 +348,9 @@ impl<'a> Shared<'a> {
             end_ns: end,
         };
         locked(&self.costs).sink.observe(1, ns(start, end));
-        {
-            let mut statistics = locked(&self.statistics);
-            statistics.written(&packet.record);
-            if packet.color.is_some() {
-                statistics.color(true);
-            }
+        locked(&self.statistics).written(&packet.record);
+        if let Some(color) = &packet.color {
+            self.color_step(sink, color);
         }
         self.traced(|trace, _| trace.frame(&packet.record));
     }

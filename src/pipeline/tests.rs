@@ -1,5 +1,6 @@
 //! The pipeline with stages made for the purpose: exact counts, no device, no real time.
 
+mod balance;
 mod mocks;
 
 use super::budget::{Budget, Late};
