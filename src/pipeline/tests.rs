@@ -350,6 +350,45 @@ fn realtime_paces_by_the_frames_own_time() {
     assert!((outcome.report.age_ms.p50 - 5.0).abs() < 0.1);
 }
 
+/// A clock that sleeps 300 µs too long each time, as systems do.
+#[derive(Default)]
+struct Sleepy(FakeClock);
+
+impl Clock for Sleepy {
+    fn now_ns(&self) -> i64 {
+        self.0.now_ns()
+    }
+    fn sleep(&self, time: Duration) {
+        self.0.sleep(time + Duration::from_micros(300));
+    }
+}
+
+#[test]
+fn realtime_does_not_drift() {
+    // a minute of frames; sleeping too long must not add up
+    let clock = Sleepy::default();
+    let options = Options {
+        pace: Pace::Realtime,
+        ..options(1)
+    };
+    let outcome = run_mocks(
+        &mut MockSource::frames(6000),
+        &mut MockModel::default(),
+        &mut MockEncode::default(),
+        &mut MockSink::default(),
+        &options,
+        &clock,
+    );
+    assert_eq!(outcome.report.frames, 6000);
+    let end_ns = clock.now_ns() - 5999 * 10_000_000;
+    assert!((0..1_000_000).contains(&end_ns), "{end_ns} ns late");
+    assert!(
+        outcome.report.age_ms.max < 1.0,
+        "{:?}",
+        outcome.report.age_ms
+    );
+}
+
 #[test]
 fn degrade_cuts_the_model_at_the_deadline_and_recovers() {
     let clock = FakeClock::default();

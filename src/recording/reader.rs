@@ -396,7 +396,7 @@ impl RecordingReader {
                 self.view.colors.push(place);
             } else if channel.is_statistics_of(&self.name) {
                 let text = self.loaded.bytes.get(item.data.clone());
-                let told = text.and_then(|text| Account::read(text));
+                let told = text.and_then(Account::read);
                 self.account = told.or(self.account.take());
             }
         }

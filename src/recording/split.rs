@@ -83,11 +83,10 @@ impl Names {
         let Ok(entries) = std::fs::read_dir(&self.folder) else {
             return Ok(()); // opening the first part will say what is wrong
         };
-        for entry in entries.flatten() {
-            let path = entry.path();
-            if !self.is_part(&path) {
-                continue;
-            }
+        let paths = entries.flatten().map(|entry| entry.path());
+        let mut parts: Vec<_> = paths.filter(|path| self.is_part(path)).collect();
+        parts.sort();
+        for path in parts {
             if !self.overwrite {
                 return Err(RecordingError::Exists { path });
             }

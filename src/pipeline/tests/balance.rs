@@ -34,7 +34,7 @@ impl io::Write for Narrow {
 struct Padded(Recorder);
 
 impl Sink for Padded {
-    fn frame(&mut self, packet: &packet::Packet) -> Result<(), StageError> {
+    fn frame(&mut self, packet: &Packet) -> Result<(), StageError> {
         let mut padded = packet.clone();
         padded.encoded.key = packet.depth.sequence.is_multiple_of(5);
         padded.encoded.time = packet.depth.time;
