@@ -69,7 +69,7 @@ pub fn split(text: &str) -> Result<Split, String> {
         ("GB", 1e-9),
     ];
     match number_with_unit(text, &units, None) {
-        Some(bytes) if bytes.is_finite() && bytes >= 1.0 => Ok(Split::Bytes(bytes as u64)),
+        Some(bytes) if bytes.is_finite() && bytes >= 1.0 => Ok(Split::Bytes(bytes.round() as u64)),
         Some(bytes) => Err(format!("{bytes} bytes are no size")),
         None if text.trim().parse::<f64>().is_err() => match duration(text) {
             Ok(time) => Ok(Split::Time(time)),
