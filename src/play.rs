@@ -5,83 +5,19 @@
 //! drives it with a clock and a source of frames that are handed in, so tests run on a clock of
 //! their own.
 
-use std::time::{Duration, Instant};
+mod pacer;
+#[cfg(test)]
+mod tests;
+mod walk;
 
-/// A gap longer than this in the recording (a pause, a clock that jumped) is played as this long.
-const LONGEST_GAP: Duration = Duration::from_secs(5);
+pub use pacer::{Pace, Pacer};
+
+use std::time::{Duration, Instant};
+use walk::Walk;
+
 /// After this many frames left out in a row one is shown, however late: a machine too slow to keep
 /// up still shows something.
 const MOST_SKIPPED: u64 = 5;
-
-/// What to do with a decoded frame now.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
-    /// Not due yet: wait this long.
-    Wait(Duration),
-    /// Show it.
-    Show,
-    /// The next frame is due already: go on without showing this one.
-    Skip,
-}
-
-/// Turns the times of a recording into times of the playing clock.
-#[derive(Clone, Debug)]
-pub struct Pacer {
-    speed: f64,
-    /// Time of the frame before, ns, and when it was due.
-    last: Option<(i64, Duration)>,
-}
-
-impl Pacer {
-    /// Plays `speed` times as fast as recorded. A speed that is not a number above 0 plays as fast
-    /// as the machine can.
-    #[must_use]
-    pub fn new(speed: f64) -> Self {
-        Self { speed, last: None }
-    }
-
-    /// When a frame taken at `time_ns` (ns) is due, on a clock that reads `now`; frames come in
-    /// the order they are played. The first is due at once; time that runs backwards counts as
-    /// no time.
-    pub fn due(&mut self, time_ns: i64, now: Duration) -> Duration {
-        let due = match self.last {
-            None => now,
-            Some((last_ns, last_due)) => last_due + self.gap(last_ns, time_ns),
-        };
-        self.last = Some((time_ns, due));
-        due
-    }
-
-    /// What to do at `now` with a frame that is due at `due` and followed by one taken
-    /// `step_ns` (ns) later, where it is known that one follows.
-    #[must_use]
-    pub fn pace(&self, due: Duration, step_ns: Option<i64>, now: Duration) -> Pace {
-        if now < due {
-            return Pace::Wait(due - now);
-        }
-        let follower = step_ns.map(|step| due + self.gap(0, step));
-        match follower {
-            Some(next) if next > due && next <= now => Pace::Skip,
-            _ => Pace::Show,
-        }
-    }
-
-    /// Begins anew: the next frame is due at once (after a jump, at each round of a loop).
-    pub fn restart(&mut self) {
-        self.last = None;
-    }
-
-    fn gap(&self, from_ns: i64, to_ns: i64) -> Duration {
-        let recorded = to_ns.saturating_sub(from_ns).max(0) as f64 * 1e-9;
-        let played = (recorded / self.speed).min(LONGEST_GAP.as_secs_f64());
-        // an unpaced player (speed 0, infinite, not a number) waits for nothing
-        if self.speed > 0.0 && played.is_finite() {
-            Duration::from_secs_f64(played)
-        } else {
-            Duration::ZERO
-        }
-    }
-}
 
 /// What is played, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,10 +26,14 @@ pub struct PlayOptions {
     pub speed: f64,
     /// Begin again at the end, for ever.
     pub looped: bool,
+    /// From the last frame to the first.
+    pub reverse: bool,
     /// First frame that is shown.
     pub from: u64,
     /// Frame that ends the playback, not shown itself.
     pub to: u64,
+    /// Show this frame first and hold it until told to go on.
+    pub hold_at: Option<u64>,
 }
 
 impl Default for PlayOptions {
@@ -101,16 +41,36 @@ impl Default for PlayOptions {
         Self {
             speed: 1.0,
             looped: false,
+            reverse: false,
             from: 0,
             to: u64::MAX,
+            hold_at: None,
         }
     }
+}
+
+/// What the user asks for while a recording plays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// End.
+    Stop,
+    /// Hold the picture, or go on.
+    Pause,
+    /// So many frames on (or back) from the one shown, and hold.
+    Step(i64),
+    /// To this frame, and hold.
+    To(u64),
 }
 
 /// A source of frames, one after another.
 pub trait Frames {
     /// What ends the playback.
     type Error;
+    /// A decoded frame put aside.
+    type Kept;
+
+    /// Number of frames.
+    fn frames(&self) -> u64;
 
     /// Goes to where frame `frame` can be decoded from; gives the number of the frame that
     /// [`advance`](Self::advance) decodes next.
@@ -124,6 +84,12 @@ pub trait Frames {
     /// # Errors
     /// The source's own.
     fn advance(&mut self) -> Result<Option<(u64, i64)>, Self::Error>;
+
+    /// Puts the frame last decoded aside.
+    fn keep(&self) -> Self::Kept;
+
+    /// Makes a frame that was put aside the one last decoded, as far as showing it goes.
+    fn put_back(&mut self, kept: Self::Kept);
 }
 
 /// A clock to play by.
@@ -163,13 +129,17 @@ pub struct PlayReport {
     pub skipped: u64,
     /// Rounds begun.
     pub rounds: u64,
+    /// Number of the first frame shown.
+    pub first: Option<u64>,
+    /// Number of the last frame shown.
+    pub last: Option<u64>,
 }
 
-/// Longest single wait, so that `show` or the caller's stop flag is asked often enough.
-const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// Longest single wait, so that `show` or the caller's commands are asked for often enough.
+const LONGEST_WAIT: Duration = Duration::from_millis(20);
 
-/// Plays `frames`: calls `show` with each frame's number when it is due. `keep_on` is asked before
-/// each wait and each frame; `false` ends the playback.
+/// Plays `frames`: calls `show` with each frame's number when it is due. `command` is asked before
+/// each wait and each frame.
 ///
 /// A frame is late when the time of one whole frame has gone since it was due: the gap to the
 /// frame before stands for the gap to the next, which is not decoded yet. The last frame may be
@@ -181,229 +151,167 @@ pub fn play<F: Frames>(
     frames: &mut F,
     options: &PlayOptions,
     clock: &mut impl Clock,
-    mut keep_on: impl FnMut() -> bool,
-    mut show: impl FnMut(&mut F, u64) -> Result<(), F::Error>,
+    command: impl FnMut() -> Option<Command>,
+    show: impl FnMut(&mut F, u64) -> Result<(), F::Error>,
 ) -> Result<PlayReport, F::Error> {
-    let mut report = PlayReport::default();
-    let mut pacer = Pacer::new(options.speed);
-    loop {
-        report.rounds += 1;
-        let seen = report.shown + report.skipped;
-        frames.seek(options.from)?;
-        let mut step = None;
-        let mut in_a_row = 0;
-        let mut last_ns = None;
-        while let Some((number, time_ns)) = frames.advance()? {
-            if number >= options.to || !keep_on() {
-                break;
-            }
-            if number < options.from {
-                continue;
-            }
-            if let Some(last_ns) = last_ns.replace(time_ns) {
-                step = Some(time_ns.saturating_sub(last_ns));
-            }
-            let due = pacer.due(time_ns, clock.now());
-            loop {
-                let pace = match pacer.pace(due, step, clock.now()) {
-                    Pace::Skip if in_a_row == MOST_SKIPPED => Pace::Show,
-                    pace => pace,
-                };
-                match pace {
-                    Pace::Wait(time) => {
-                        clock.wait(time.min(LONGEST_WAIT));
-                        if !keep_on() {
-                            return Ok(report);
-                        }
-                    }
-                    Pace::Show => {
-                        show(frames, number)?;
-                        report.shown += 1;
-                        in_a_row = 0;
-                        break;
-                    }
-                    Pace::Skip => {
-                        report.skipped += 1;
-                        in_a_row += 1;
-                        break;
-                    }
-                }
-            }
-        }
-        let empty = report.shown + report.skipped == seen;
-        if !options.looped || empty || !keep_on() {
-            return Ok(report);
-        }
-        pacer.restart();
-    }
+    let player = Player {
+        walk: Walk::new(options, frames.frames()),
+        frames,
+        clock,
+        command,
+        show,
+        pacer: Pacer::new(options.speed),
+        report: PlayReport::default(),
+    };
+    player.run(options)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::cell::Cell;
-    use std::convert::Infallible;
+/// What comes after a frame.
+enum Then {
+    Next,
+    Stop,
+}
 
-    const MS: i64 = 1_000_000;
+struct Player<'a, F: Frames, C, A, S> {
+    frames: &'a mut F,
+    clock: &'a mut C,
+    command: A,
+    show: S,
+    walk: Walk<F::Kept>,
+    pacer: Pacer,
+    report: PlayReport,
+}
 
-    /// Frames at these times, a key frame each `every`; decoding one takes `cost` on the clock.
-    struct Tape<'a> {
-        times: Vec<i64>,
-        every: u64,
-        at: u64,
-        decoded: Vec<u64>,
-        cost: Duration,
-        clock: &'a Cell<Duration>,
-    }
-
-    impl Frames for Tape<'_> {
-        type Error = Infallible;
-        fn seek(&mut self, frame: u64) -> Result<u64, Infallible> {
-            self.at = frame / self.every * self.every;
-            Ok(self.at)
+impl<F, C, A, S> Player<'_, F, C, A, S>
+where
+    F: Frames,
+    C: Clock,
+    A: FnMut() -> Option<Command>,
+    S: FnMut(&mut F, u64) -> Result<(), F::Error>,
+{
+    fn run(mut self, options: &PlayOptions) -> Result<PlayReport, F::Error> {
+        if let Some(frame) = options.hold_at {
+            self.go(frame)?;
+            if let Then::Stop = self.hold()? {
+                return Ok(self.report);
+            }
         }
-        fn advance(&mut self) -> Result<Option<(u64, i64)>, Infallible> {
-            let Some(time) = self.times.get(self.at as usize) else {
-                return Ok(None);
-            };
-            self.clock.set(self.clock.get() + self.cost);
-            self.decoded.push(self.at);
-            self.at += 1;
-            Ok(Some((self.at - 1, *time)))
-        }
-    }
-
-    struct TestClock<'a>(&'a Cell<Duration>);
-
-    impl Clock for TestClock<'_> {
-        fn now(&self) -> Duration {
-            self.0.get()
-        }
-        fn wait(&mut self, time: Duration) {
-            self.0.set(self.0.get() + time);
-        }
-    }
-
-    /// Plays; gives the frames shown with the times (ms) they were shown at, and the report.
-    fn run(
-        times: Vec<i64>,
-        cost_ms: u64,
-        options: PlayOptions,
-        rounds: u64,
-    ) -> (Vec<(u64, u64)>, PlayReport) {
-        let clock = Cell::new(Duration::from_secs(9));
-        let mut tape = Tape {
-            times,
-            every: 10,
-            at: 0,
-            decoded: vec![],
-            cost: Duration::from_millis(cost_ms),
-            clock: &clock,
-        };
-        let mut shown = vec![];
-        let begun = Cell::new(0u64);
-        let report = play(
-            &mut tape,
-            &options,
-            &mut TestClock(&clock),
-            || begun.get() < rounds,
-            |tape, number| {
-                if number + 1 == tape.times.len() as u64 {
-                    begun.set(begun.get() + 1);
+        loop {
+            self.report.rounds += 1;
+            let seen = self.report.shown + self.report.skipped;
+            // a frame that was held is where the first round begins
+            if self.report.rounds > 1 || options.hold_at.is_none() {
+                self.walk.begin(self.frames)?;
+            }
+            let mut before: Option<i64> = None;
+            let mut in_a_row = 0;
+            while let Some((number, time_ns)) = self.walk.next(self.frames)? {
+                let time_ns = if options.reverse {
+                    time_ns.saturating_neg()
+                } else {
+                    time_ns
+                };
+                let step = before.map(|before| time_ns.saturating_sub(before));
+                before = Some(time_ns);
+                if let Then::Stop = self.present(number, time_ns, step, &mut in_a_row)? {
+                    return Ok(self.report);
                 }
-                let now = clock.get() - Duration::from_secs(9);
-                shown.push((number, now.as_millis() as u64));
-                Ok(())
-            },
-        );
-        let Ok(report) = report;
-        (shown, report)
-    }
-
-    fn even(count: i64) -> Vec<i64> {
-        (0..count).map(|n| 777 + n * 40 * MS).collect()
-    }
-
-    #[test]
-    fn frames_are_shown_at_their_times() {
-        let (shown, report) = run(even(25), 0, PlayOptions::default(), 9);
-        let expected: Vec<_> = (0..25).map(|n| (n, n * 40)).collect();
-        assert_eq!(shown, expected);
-        assert_eq!((report.shown, report.skipped, report.rounds), (25, 0, 1));
-        let fast = PlayOptions {
-            speed: 4.0,
-            ..PlayOptions::default()
-        };
-        let (shown, _) = run(even(25), 0, fast, 9);
-        assert_eq!(shown, (0..25).map(|n| (n, n * 10)).collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn decoding_time_does_not_add_up() {
-        let (shown, _) = run(even(25), 30, PlayOptions::default(), 9);
-        assert_eq!(shown[0], (0, 30));
-        assert_eq!(shown[24], (24, 30 + 24 * 40));
-    }
-
-    #[test]
-    fn late_frames_are_decoded_and_not_shown() {
-        let (shown, report) = run(even(101), 60, PlayOptions::default(), 9);
-        assert_eq!(report.shown + report.skipped, 101);
-        assert!(report.skipped > 30, "{report:?}");
-        // decoding needs 60 ms a frame for 40 ms of film: it cannot keep up, but goes on showing
-        let gap = shown.windows(2).map(|pair| pair[1].0 - pair[0].0).max();
-        assert_eq!(gap, Some(MOST_SKIPPED + 1), "{shown:?}");
-    }
-
-    #[test]
-    fn a_range_is_decoded_from_its_key_frame() {
-        let range = PlayOptions {
-            from: 14,
-            to: 17,
-            ..PlayOptions::default()
-        };
-        let (shown, _) = run(even(25), 0, range, 9);
-        assert_eq!(shown, [(14, 0), (15, 40), (16, 80)]);
-    }
-
-    #[test]
-    fn a_loop_begins_again_at_once_and_ends_on_demand() {
-        let looped = PlayOptions {
-            looped: true,
-            ..PlayOptions::default()
-        };
-        let (shown, report) = run(even(3), 0, looped, 3);
-        let expected = [
-            (0, 0),
-            (1, 40),
-            (2, 80),
-            (0, 80),
-            (1, 120),
-            (2, 160),
-            (0, 160),
-            (1, 200),
-            (2, 240),
-        ];
-        assert_eq!(shown, expected);
-        assert_eq!(report.rounds, 3);
-        let (shown, report) = run(vec![], 0, looped, 3);
-        assert!(
-            shown.is_empty() && report.rounds == 1,
-            "an empty loop must end"
-        );
-    }
-
-    #[test]
-    fn odd_times_and_speeds_stop_nothing() {
-        let times = vec![5, i64::MIN, i64::MAX, 0, 40 * MS];
-        for speed in [1.0, 0.0, -1.0, f64::NAN, f64::INFINITY, 1e-300, 1e300] {
-            let options = PlayOptions {
-                speed,
-                ..PlayOptions::default()
-            };
-            let (shown, report) = run(times.clone(), 0, options, 9);
-            assert_eq!(report.shown, 5, "speed {speed}: {shown:?}");
-            assert!(shown.last().unwrap().1 <= 4 * 5000);
+            }
+            let empty = self.report.shown + self.report.skipped == seen;
+            if !options.looped || empty || (self.command)() == Some(Command::Stop) {
+                return Ok(self.report);
+            }
+            self.pacer.restart();
         }
+    }
+
+    /// Waits until a frame is due and shows it, or leaves it out.
+    fn present(
+        &mut self,
+        number: u64,
+        time_ns: i64,
+        step: Option<i64>,
+        in_a_row: &mut u64,
+    ) -> Result<Then, F::Error> {
+        let mut due = self.pacer.due(time_ns, self.clock.now());
+        loop {
+            match (self.command)() {
+                None => {}
+                Some(Command::Stop) => return Ok(Then::Stop),
+                Some(Command::Pause) => {
+                    let shown = self.report.shown;
+                    if let Then::Stop = self.hold()? {
+                        return Ok(Then::Stop);
+                    }
+                    if self.report.shown > shown {
+                        return Ok(Then::Next); // the user has gone elsewhere
+                    }
+                    due = self.pacer.due(time_ns, self.clock.now());
+                }
+                Some(command) => {
+                    self.obey(command)?;
+                    return self.hold();
+                }
+            }
+            let pace = match self.pacer.pace(due, step, self.clock.now()) {
+                Pace::Skip if *in_a_row == MOST_SKIPPED => Pace::Show,
+                pace => pace,
+            };
+            match pace {
+                Pace::Wait(time) => self.clock.wait(time.min(LONGEST_WAIT)),
+                Pace::Show => {
+                    *in_a_row = 0;
+                    self.show(number)?;
+                    return Ok(Then::Next);
+                }
+                Pace::Skip => {
+                    *in_a_row += 1;
+                    self.report.skipped += 1;
+                    return Ok(Then::Next);
+                }
+            }
+        }
+    }
+
+    /// Holds the picture until told to go on.
+    fn hold(&mut self) -> Result<Then, F::Error> {
+        loop {
+            match (self.command)() {
+                None => self.clock.wait(LONGEST_WAIT),
+                Some(Command::Stop) => return Ok(Then::Stop),
+                Some(Command::Pause) => {
+                    self.pacer.restart();
+                    return Ok(Then::Next);
+                }
+                Some(command) => self.obey(command)?,
+            }
+        }
+    }
+
+    fn obey(&mut self, command: Command) -> Result<(), F::Error> {
+        match command {
+            Command::Step(frames) => {
+                let shown = self.report.last.unwrap_or(0);
+                self.go(shown.saturating_add_signed(frames))
+            }
+            Command::To(frame) => self.go(frame),
+            Command::Stop | Command::Pause => Ok(()),
+        }
+    }
+
+    /// Shows a frame out of the order, at once.
+    fn go(&mut self, frame: u64) -> Result<(), F::Error> {
+        match self.walk.go(self.frames, frame)? {
+            Some(number) => self.show(number),
+            None => Ok(()),
+        }
+    }
+
+    fn show(&mut self, number: u64) -> Result<(), F::Error> {
+        (self.show)(self.frames, number)?;
+        self.report.shown += 1;
+        self.report.first.get_or_insert(number);
+        self.report.last = Some(number);
+        Ok(())
     }
 }

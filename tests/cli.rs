@@ -6,50 +6,14 @@
     reason = "a test fails by panicking"
 )]
 
-use assert_cmd::Command;
-use std::ffi::OsStr;
+mod program;
+
+use program::{json, run, run_bytes};
 use std::path::Path;
-use std::process::Output;
-
-/// Runs the program; on a wrong exit code everything it said is printed.
-#[track_caller]
-fn run<I, S>(arguments: I, code: i32) -> (String, String)
-where
-    I: IntoIterator<Item = S>,
-    S: AsRef<OsStr>,
-{
-    let output = run_bytes(arguments, code);
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (text(&output.stdout), text(&output.stderr))
-}
-
-#[track_caller]
-fn run_bytes<I, S>(arguments: I, code: i32) -> Output
-where
-    I: IntoIterator<Item = S>,
-    S: AsRef<OsStr>,
-{
-    let mut command = Command::cargo_bin("saint-live").unwrap();
-    command.args(arguments);
-    let output = command.output().unwrap();
-    assert_eq!(
-        output.status.code(),
-        Some(code),
-        "\ncommand: {command:?}\nstatus: {}\nstdout: {}\nstderr: {}\n",
-        output.status,
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr),
-    );
-    output
-}
 
 /// A small, quick synthetic camera that does not wait for the clock.
 fn camera(frames: u32) -> String {
     format!("synthetic:room,size=80x60,paced=false,frames={frames}")
-}
-
-fn json(text: &str) -> serde_json::Value {
-    serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"))
 }
 
 /// A recording of `frames` synthetic frames.

@@ -1,14 +1,19 @@
 //! The arguments as they are typed.
 
 use super::values::{
-    Length, MapResolution, duration, duration_or_zero, factor, length, length_or_zero, size,
+    Length, MapResolution, duration, duration_or_zero, factor, length, length_or_zero, size, split,
 };
 use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use saint_live::cloud::LengthUnit;
 use saint_live::fit::contact_distance::ContactDistance;
+use saint_live::recording::Split;
 use std::path::PathBuf;
 use std::time::Duration;
+
+mod recording;
+
+pub use recording::{CheckArgs, PlayArgs, RepairArgs};
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done (also after Ctrl-C, with the file complete), 1 failure, 2 usage, 3 device, \
@@ -55,6 +60,10 @@ pub enum Command {
     Export(ExportArgs),
     /// Say what is in a recording.
     Info(InfoArgs),
+    /// Look for damage in a recording: checksums, order, gaps, every frame decoded.
+    Check(CheckArgs),
+    /// Write what is whole in a cut or damaged recording to a new file.
+    Repair(RepairArgs),
     /// Measure quality, size and time on recorded frames held in memory.
     Bench(BenchArgs),
     /// Measure a claim of the paper: tables on standard output, a curve with -o.
@@ -298,6 +307,14 @@ pub struct StreamArgs {
     /// Replace an output file that exists.
     #[arg(long)]
     pub overwrite: bool,
+    /// Write numbered parts (scene-001.mcap, ...) of this size or length, each of which plays
+    /// alone: 4GB, 500MB, 10min. A part ends before a key frame.
+    #[arg(long, value_name = "SIZE|TIME", value_parser = split, requires = "output")]
+    pub split: Option<Split>,
+    /// When bytes must have reached the disk: `end` waits once, `chunk` twice a second, so that a
+    /// power cut takes no more than the last half second.
+    #[arg(long, value_enum, default_value_t = SyncArg::End, requires = "output")]
+    pub sync: SyncArg,
     /// Stop after taking this many frames.
     #[arg(short = 'n', long, value_name = "N")]
     pub frames: Option<u64>,
@@ -320,6 +337,16 @@ pub struct StreamArgs {
     /// Write a timeline (Chrome trace events; open it in Perfetto).
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
+}
+
+/// When bytes must have reached the disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SyncArg {
+    /// When the file is complete.
+    #[default]
+    End,
+    /// With each chunk of half a second.
+    Chunk,
 }
 
 /// What to do with a frame that would be late.
@@ -405,24 +432,6 @@ pub enum ExrDepthArg {
     Ray,
     /// One over metres.
     Inverse,
-}
-
-/// `play`.
-#[derive(Debug, Args)]
-pub struct PlayArgs {
-    /// The recording.
-    pub file: PathBuf,
-    #[command(flatten)]
-    pub range: RangeArgs,
-    /// Times the recorded pace.
-    #[arg(long, default_value_t = 1.0, value_parser = factor)]
-    pub speed: f64,
-    /// Begin again at the end, until stopped.
-    #[arg(long = "loop")]
-    pub repeat: bool,
-    /// Show no picture, print what was played as one JSON object.
-    #[arg(long)]
-    pub stats: bool,
 }
 
 /// `model`.

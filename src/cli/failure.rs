@@ -116,10 +116,15 @@ impl From<RigError> for Failure {
 impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
         let kind = match &error {
-            RecordingError::Exists { .. } | RecordingError::NoSuchFrame { .. } => Kind::Usage,
+            RecordingError::Exists { .. }
+            | RecordingError::NoSuchFrame { .. }
+            | RecordingError::NoSuchCamera { .. }
+            | RecordingError::NoParts { .. } => Kind::Usage,
             RecordingError::Closed { .. } => Kind::Closed,
             RecordingError::Unwritable { .. }
             | RecordingError::DiskFull { .. }
+            | RecordingError::FileLimit { .. }
+            | RecordingError::Vanished { .. }
             | RecordingError::Write { .. }
             | RecordingError::TooLarge { .. } => Kind::Output,
             RecordingError::Finished { .. } | RecordingError::Container { .. } => Kind::Failure,

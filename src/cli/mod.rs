@@ -4,17 +4,20 @@
 
 mod args;
 mod bench;
+mod check;
 mod devices;
 mod engine;
 mod experiment;
 mod export;
 mod failure;
 mod info;
+mod keyboard;
 mod machine;
 mod message;
 mod model;
 mod play;
 mod record;
+mod repair;
 mod report;
 mod run;
 mod signals;
@@ -56,6 +59,8 @@ fn dispatch(arguments: Arguments) -> Result<(), Failure> {
         Some(Command::Play(args)) => play::run(&args),
         Some(Command::Export(args)) => export::run(&args, arguments.quiet),
         Some(Command::Info(args)) => info::run(&args),
+        Some(Command::Check(args)) => check::run(&args, arguments.quiet),
+        Some(Command::Repair(args)) => repair::run(&args, arguments.quiet),
         Some(Command::Bench(args)) => bench::run(&args, arguments.quiet),
         Some(Command::Experiment(args)) => experiment::run(&args, arguments.quiet),
         Some(Command::Synthesize(args)) => synthesize::run(&args, arguments.quiet),

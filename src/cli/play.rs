@@ -2,10 +2,11 @@
 
 use super::args::PlayArgs;
 use super::failure::{Failure, Kind};
+use super::keyboard::Keyboard;
 use super::tape::Tape;
 use super::{report, signals};
 use saint_live::export::png::{Picture, draw};
-use saint_live::play::{PlayOptions, SystemClock, play};
+use saint_live::play::{Command, PlayOptions, SystemClock, play};
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::Ordering;
@@ -23,24 +24,44 @@ pub fn run(args: &PlayArgs) -> Result<(), Failure> {
             format_args!("{}: holds no frame", args.file.display()),
         ));
     }
-    let options = PlayOptions {
+    let visible = io::stdout().is_terminal() && !args.stats;
+    let mut options = PlayOptions {
         speed: args.speed,
         looped: args.repeat,
+        reverse: args.reverse,
         from: args.range.from,
         to: args.range.to.unwrap_or(u64::MAX),
+        hold_at: None,
     };
-    let visible = io::stdout().is_terminal() && !args.stats;
+    if let Some(frame) = args.frame {
+        // a frame that is not there is told before the screen is taken
+        tape.seek(frame)?;
+        if visible {
+            options.hold_at = Some(frame);
+        } else {
+            (options.from, options.to) = (frame, frame.saturating_add(1));
+        }
+    }
     let mut screen = visible.then(Screen::open).transpose()?;
+    let mut keys = visible
+        .then(|| Keyboard::open(tape.frames_per_second()))
+        .flatten();
     let played = play(
         &mut tape,
         &options,
         &mut SystemClock::default(),
-        || !stop.load(Ordering::Relaxed),
+        || {
+            if stop.load(Ordering::Relaxed) {
+                return Some(Command::Stop);
+            }
+            keys.as_mut().and_then(Keyboard::command)
+        },
         |tape, number| match &mut screen {
             Some(screen) => screen.show(tape, number),
             None => Ok(()),
         },
     );
+    drop(keys);
     drop(screen);
     let played = played?;
     if args.stats || !visible {

@@ -3,7 +3,7 @@
 use super::args::{LateArg, LiveArgs, ReplayArgs, StreamArgs};
 use super::engine::{EncodeStage, Engine, ModelStage};
 use super::failure::{Failure, Kind};
-use super::sink::{self, Output};
+use super::sink;
 use super::source::{self, InputOptions};
 use super::status::Display;
 use super::{message, signals};
@@ -12,6 +12,7 @@ use saint_live::frame::Camera;
 use saint_live::pipeline::budget::{Budget, Late};
 use saint_live::pipeline::clock::{Clock, Monotonic};
 use saint_live::pipeline::color::ColorSource;
+use saint_live::pipeline::recorder::Recorder;
 use saint_live::pipeline::report::Report;
 use saint_live::pipeline::trace::Trace;
 use saint_live::pipeline::{self, Options, Pace, Stages};
@@ -85,7 +86,7 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
 }
 
 /// True where both names lead to one file: writing the one would destroy the other.
-fn is_same_file(output: &Path, input: &Path) -> bool {
+pub fn is_same_file(output: &Path, input: &Path) -> bool {
     let whole = |path: &Path| path.canonicalize().ok();
     input.is_file() && whole(output).is_some_and(|path| Some(path) == whole(input))
 }
@@ -193,7 +194,7 @@ impl<'a> Run<'a> {
         self.engine.start_workers()?;
         let mut model = ModelStage::new(&camera, &self.engine)?;
         let mut encode = EncodeStage::new(&camera, &self.engine)?;
-        let mut output = Output::open(self.stream, &camera, self.all_notes(source))?;
+        let mut output = sink::open(self.stream, &camera, self.all_notes(source))?;
         let trace = self.trace()?;
         let options = self.options(&camera, pace);
         // a live stream has no end to measure progress by, unless one was set
@@ -228,10 +229,14 @@ impl<'a> Run<'a> {
     }
 
     /// Says what was written, where this side of the recording closed it.
-    fn say_written(&self, output: &Output) {
+    fn say_written(&self, output: &Recorder) {
         if let (Some(summary), false) = (&output.summary, self.quiet) {
+            let parts = match summary.parts {
+                1 => String::new(),
+                n => format!("{n} parts up to "),
+            };
             message::say(&format!(
-                "wrote {}: {} frames, {} bytes",
+                "wrote {parts}{}: {} frames, {} bytes",
                 summary.target, summary.frames, summary.bytes
             ));
         }

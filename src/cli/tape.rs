@@ -114,6 +114,12 @@ impl Tape {
         self.reader.frames()
     }
 
+    /// Frames in a second, where it is known; else as most cameras have it.
+    pub fn frames_per_second(&self) -> f64 {
+        let told = self.reader.info().fps.or(self.camera.fps);
+        told.filter(|fps| *fps >= 1.0).unwrap_or(30.0)
+    }
+
     /// Goes to the key frame from which `frame` can be decoded; gives its number.
     pub fn seek(&mut self, frame: u64) -> Result<u64, Failure> {
         if frame == 0 && self.frames() == 0 {
@@ -221,8 +227,43 @@ impl Tape {
     }
 }
 
+/// A decoded frame put aside, to be shown later.
+pub struct Kept {
+    sequence: u64,
+    time: FrameTime,
+    depth_m: Vec<f32>,
+    labels: Vec<u16>,
+    spheres: Vec<Option<Sphere>>,
+    polar: Option<ClaimMap>,
+}
+
 impl Frames for Tape {
     type Error = Failure;
+    type Kept = Kept;
+
+    fn frames(&self) -> u64 {
+        Self::frames(self)
+    }
+
+    fn keep(&self) -> Kept {
+        Kept {
+            sequence: self.encoded.sequence,
+            time: self.encoded.time,
+            depth_m: self.depth_m.clone(),
+            labels: self.labels.clone(),
+            spheres: self.spheres.clone(),
+            polar: self.polar.clone(),
+        }
+    }
+
+    fn put_back(&mut self, kept: Kept) {
+        self.encoded.sequence = kept.sequence;
+        self.encoded.time = kept.time;
+        self.depth_m = kept.depth_m;
+        self.labels = kept.labels;
+        self.spheres = kept.spheres;
+        self.polar = kept.polar;
+    }
 
     fn seek(&mut self, frame: u64) -> Result<u64, Failure> {
         Self::seek(self, frame)

@@ -1,5 +1,6 @@
 //! Values with units: `5mm`, `33ms`, `640x480`.
 
+use saint_live::recording::Split;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -93,6 +94,27 @@ pub fn duration_or_zero(text: &str) -> Result<Duration, String> {
     }
 }
 
+/// Reads where a recording is split: a size (`4GB`, `500MB`, `64MiB`) or a time (`10min`).
+pub fn split(text: &str) -> Result<Split, String> {
+    let units = [
+        ("KiB", 1.0 / 1024.0),
+        ("MiB", 1.0 / (1 << 20) as f64),
+        ("GiB", 1.0 / (1 << 30) as f64),
+        ("kB", 1e-3),
+        ("MB", 1e-6),
+        ("GB", 1e-9),
+    ];
+    match number_with_unit(text, &units, None) {
+        Some(bytes) if bytes.is_finite() && bytes >= 1.0 => Ok(Split::Bytes(bytes.round() as u64)),
+        Some(bytes) => Err(format!("{bytes} bytes are no size")),
+        None if text.trim().parse::<f64>().is_err() => match duration(text) {
+            Ok(time) => Ok(Split::Time(time)),
+            Err(_) => Err("a part is a size or a time: 4GB, 500MB, 10min".to_owned()),
+        },
+        None => Err("say the unit: 4GB, 500MB, 10min, 30s".to_owned()),
+    }
+}
+
 /// Reads an image size: `640x480`.
 pub fn size(text: &str) -> Result<(u32, u32), String> {
     let read = || {
@@ -166,6 +188,16 @@ mod tests {
         }
         assert_eq!(duration_or_zero("0"), Ok(Duration::ZERO));
         assert_eq!(duration_or_zero("2s"), Ok(Duration::from_secs(2)));
+    }
+
+    #[test]
+    fn parts_are_sizes_or_times() {
+        assert_eq!(split("4GB"), Ok(Split::Bytes(4_000_000_000)));
+        assert_eq!(split("64MiB"), Ok(Split::Bytes(64 << 20)));
+        assert_eq!(split("10min"), Ok(Split::Time(Duration::from_secs(600))));
+        for text in ["", "5", "0MB", "-1GB", "nanGB", "5 apples", "MB", "0s"] {
+            assert!(split(text).is_err(), "{text}");
+        }
     }
 
     #[test]

@@ -35,6 +35,7 @@ mod intake;
 pub mod mailbox;
 pub mod packet;
 pub mod percentiles;
+pub mod recorder;
 pub mod report;
 pub mod stages;
 pub mod statistics;
@@ -77,7 +78,7 @@ const IN_STAGES: usize = 4 + 2 * HANDED_OVER;
 const TICK: Duration = Duration::from_millis(100);
 
 /// Without a frame for this long the sink is told so.
-const IDLE: Duration = Duration::from_secs(1);
+const IDLE: Duration = Duration::from_millis(100);
 
 /// How frames are taken from the source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -8,7 +8,7 @@ use super::budget::{Budget, CostModel, Decision, WorkLeft, decide};
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
 use super::packet::{CodingReport, ModelReport, Packet, Span};
-use super::statistics::{DropCause, Statistics};
+use super::statistics::{DropCause, Drops, Statistics};
 use super::trace::Trace;
 use crate::codec::EncodedFrame;
 use crate::contact_map::labels::SaintFrame;
@@ -66,7 +66,19 @@ pub trait Sink: Send {
         Ok(())
     }
 
-    /// Called about once a second while no frame comes, so that nothing waits in memory.
+    /// Told before each frame and before [`finish`](Self::finish): the frames given up so far, by
+    /// cause.
+    fn account(&mut self, drops: &Drops) {
+        let _ = drops;
+    }
+
+    /// Frames that are safe in the output, where that is fewer than it took: an output that
+    /// failed may have held some of them in memory. Asked at the end.
+    fn kept(&self) -> Option<u64> {
+        None
+    }
+
+    /// Called about ten times a second while no frame comes, so that nothing waits in memory.
     ///
     /// # Errors
     /// The output failed; the pipeline then stops.
@@ -320,12 +332,14 @@ impl<'a> Shared<'a> {
             self.dropped(packet, cause);
             return;
         }
+        // the image first: who reads the frame has it then
+        if let Some(color) = &packet.color {
+            self.color_step(sink, color);
+        }
         let start = self.clock.now_ns();
+        let drops = locked(&self.statistics).drops();
         let written = self.guarded(Stage::Sink, packet.depth.sequence, || {
-            // the image first: who reads the frame has it then
-            if let Some(color) = &packet.color {
-                sink.color(color)?;
-            }
+            sink.account(&drops);
             sink.frame(packet)
         });
         if written.is_none() {
@@ -338,13 +352,7 @@ impl<'a> Shared<'a> {
             end_ns: end,
         };
         locked(&self.costs).sink.observe(1, ns(start, end));
-        {
-            let mut statistics = locked(&self.statistics);
-            statistics.written(&packet.record);
-            if packet.color.is_some() {
-                statistics.color(true);
-            }
-        }
+        locked(&self.statistics).written(&packet.record);
         self.traced(|trace, _| trace.frame(&packet.record));
     }
 
@@ -364,8 +372,21 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// Closes the output, whatever happened before.
+    /// Closes the output, whatever happened before. Frames it took and lost again are dropped
+    /// frames.
     pub(super) fn finish_sink(&self, sink: &mut dyn Sink) {
-        let _ = self.guarded(Stage::Sink, 0, || sink.finish());
+        let drops = locked(&self.statistics).drops();
+        let kept = self.guarded(Stage::Sink, 0, || {
+            sink.account(&drops);
+            let result = sink.finish();
+            Ok((sink.kept(), result))
+        });
+        let Some((kept, result)) = kept else {
+            return;
+        };
+        if let Some(kept) = kept {
+            locked(&self.statistics).kept(kept);
+        }
+        let _ = self.guarded(Stage::Sink, 0, || result);
     }
 }

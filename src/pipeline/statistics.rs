@@ -1,7 +1,8 @@
 //! Counting: what went in, what came out, what was lost and why, and how long all of it took.
 //!
 //! The sum always balances: `sensor_frames = frames + drops.total() + in_flight`, and nothing is in
-//! flight when a pipeline has ended.
+//! flight when a pipeline has ended. A frame counts as written when the output has taken it; what
+//! the output then could not keep (its last chunk, on a disk that broke) is moved to its drops.
 
 use super::packet::{FrameRecord, Residual};
 use super::percentiles::Percentiles;
@@ -64,6 +65,8 @@ struct Totals {
     degraded: u64,
     late: u64,
     delivered: u64,
+    /// Frames the output took and could not keep.
+    unkept: u64,
     losses: SourceLosses,
     queue: u64,
     budget: u64,
@@ -100,6 +103,7 @@ impl Totals {
             degraded: 0,
             late: 0,
             delivered: 0,
+            unkept: 0,
             losses: SourceLosses::default(),
             queue: 0,
             budget: 0,
@@ -163,7 +167,7 @@ impl Totals {
             stall: self.losses.stall,
             queue: self.queue,
             budget: self.budget,
-            sink: self.sink,
+            sink: self.sink + self.unkept,
             failed: self.failed,
         }
     }
@@ -182,7 +186,7 @@ impl Totals {
         let points = self.points as f64;
         Report {
             elapsed_s,
-            frames: self.frames,
+            frames: self.frames - self.unkept,
             key_frames: self.keys,
             sensor_frames: self.delivered
                 + self.losses.sensor_gap
@@ -264,6 +268,39 @@ impl Statistics {
                 DropCause::Failed => totals.failed += 1,
             }
         }
+    }
+
+    /// Frames given up so far, by cause.
+    #[must_use]
+    pub fn drops(&self) -> Drops {
+        self.total.drops()
+    }
+
+    /// Takes over what another account has counted as dropped so far.
+    pub fn take_over(&mut self, now: &Drops) {
+        let before = self.drops();
+        self.losses(SourceLosses {
+            sensor_gap: now.sensor_gap,
+            damaged: now.damaged,
+            stall: now.stall,
+        });
+        for (cause, now, before) in [
+            (DropCause::Queue, now.queue, before.queue),
+            (DropCause::Budget, now.budget, before.budget),
+            (DropCause::Sink, now.sink, before.sink),
+            (DropCause::Failed, now.failed, before.failed),
+        ] {
+            for _ in before..now {
+                self.delivered();
+                self.dropped(cause);
+            }
+        }
+    }
+
+    /// Of the frames that were written the output has only kept so many: the others are dropped
+    /// by it. Their points and bytes stay in the sums, which speak of what was modelled.
+    pub fn kept(&mut self, frames: u64) {
+        self.total.unkept = self.total.frames.saturating_sub(frames);
     }
 
     /// A frame was written.
@@ -365,6 +402,39 @@ mod tests {
             "{}",
             total.age_ms.max
         );
+    }
+
+    #[test]
+    fn frames_the_output_lost_again_are_dropped_frames() {
+        let mut statistics = Statistics::new(0, 1);
+        for n in 0..10 {
+            statistics.delivered();
+            statistics.written(&record(n, 1));
+        }
+        statistics.kept(7);
+        let total = statistics.total(1);
+        assert_eq!((total.frames, total.drops.sink), (7, 3));
+        assert_eq!(total.sensor_frames, total.frames + total.drops.total());
+    }
+
+    #[test]
+    fn another_account_is_taken_over_once() {
+        let mut statistics = Statistics::new(0, 1);
+        let mut drops = Drops {
+            sensor_gap: 1,
+            damaged: 2,
+            stall: 3,
+            queue: 4,
+            budget: 5,
+            sink: 6,
+            failed: 7,
+        };
+        statistics.take_over(&drops);
+        drops.queue += 1;
+        statistics.take_over(&drops);
+        let total = statistics.total(1);
+        assert_eq!(total.drops, drops);
+        assert_eq!(total.sensor_frames, drops.total());
     }
 
     #[test]

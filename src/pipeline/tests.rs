@@ -1,5 +1,6 @@
 //! The pipeline with stages made for the purpose: exact counts, no device, no real time.
 
+mod balance;
 mod mocks;
 
 use super::budget::{Budget, Late};
@@ -105,7 +106,10 @@ fn back_pressure_bounds_the_frames_under_way() {
     );
     outcome.result.unwrap();
     let most = most.load(Ordering::SeqCst);
-    assert!(most <= (IN_STAGES + WAITING) as u64, "{most} frames under way");
+    assert!(
+        most <= (IN_STAGES + WAITING) as u64,
+        "{most} frames under way"
+    );
     assert_eq!(sink.sequences.len(), 200);
 }
 
@@ -293,7 +297,11 @@ fn a_stop_writes_what_is_under_way() {
             source.at,
             "all taken frames are written"
         );
-        assert!(source.at <= 21 + IN_STAGES + WAITING, "{} frames taken", source.at);
+        assert!(
+            source.at <= 21 + IN_STAGES + WAITING,
+            "{} frames taken",
+            source.at
+        );
     }
 }
 
@@ -354,6 +362,45 @@ fn realtime_paces_by_the_frames_own_time() {
     assert!(clock.now_ns() >= 29 * 10_000_000);
     assert!((outcome.report.age_ms.max - 50.0).abs() < 1.0);
     assert!((outcome.report.age_ms.p50 - 5.0).abs() < 0.1);
+}
+
+/// A clock that sleeps 300 µs too long each time, as systems do.
+#[derive(Default)]
+struct Sleepy(FakeClock);
+
+impl Clock for Sleepy {
+    fn now_ns(&self) -> i64 {
+        self.0.now_ns()
+    }
+    fn sleep(&self, time: Duration) {
+        self.0.sleep(time + Duration::from_micros(300));
+    }
+}
+
+#[test]
+fn realtime_does_not_drift() {
+    // a minute of frames; sleeping too long must not add up
+    let clock = Sleepy::default();
+    let options = Options {
+        pace: Pace::Realtime,
+        ..options(1)
+    };
+    let outcome = run_mocks(
+        &mut MockSource::frames(6000),
+        &mut MockModel::default(),
+        &mut MockEncode::default(),
+        &mut MockSink::default(),
+        &options,
+        &clock,
+    );
+    assert_eq!(outcome.report.frames, 6000);
+    let end_ns = clock.now_ns() - 5999 * 10_000_000;
+    assert!((0..1_000_000).contains(&end_ns), "{end_ns} ns late");
+    assert!(
+        outcome.report.age_ms.max < 1.0,
+        "{:?}",
+        outcome.report.age_ms
+    );
 }
 
 #[test]

@@ -107,6 +107,52 @@ impl Source {
     }
 }
 
+/// Bytes between a chunk record's prefix and its records, without compression.
+pub(super) const CHUNK_HEADER: u64 = 40;
+/// The file is searched in pieces of this size, bytes.
+const PIECE: usize = 1 << 20;
+
+impl Source {
+    /// The next place at or after `from` where an uncompressed chunk of ours begins and ends
+    /// inside the file. A chunk says its length three times over, so hardly anything else looks
+    /// like one.
+    pub fn find_chunk(&self, from: u64) -> Option<u64> {
+        let head = (PREFIX + CHUNK_HEADER) as usize;
+        let mut piece = Vec::new();
+        let mut at = from;
+        while at + head as u64 <= self.length {
+            let take = (self.length - at).min(PIECE as u64) as usize;
+            piece.resize(take, 0);
+            self.read_at(at, &mut piece).ok()?;
+            let place = |(offset, bytes)| {
+                let offset = at + offset as u64;
+                let length = chunk_length(bytes)?;
+                (length <= self.length - offset).then_some(offset)
+            };
+            if let Some(found) = piece.windows(head).enumerate().find_map(place) {
+                return Some(found);
+            }
+            at += (take - head + 1) as u64;
+        }
+        None
+    }
+}
+
+/// Length of the chunk record (with its prefix) whose first bytes these are.
+fn chunk_length(bytes: &[u8]) -> Option<u64> {
+    let number = |at: usize| {
+        let eight = bytes.get(at..at + 8)?.try_into().ok()?;
+        Some(u64::from_le_bytes(eight))
+    };
+    if bytes[0] != op::CHUNK || bytes[37..41] != [0; 4] {
+        return None;
+    }
+    let (body, start, end) = (number(1)?, number(9)?, number(17)?);
+    let (size, stored) = (number(25)?, number(41)?);
+    let agree = size == stored && stored.checked_add(CHUNK_HEADER)? == body;
+    (agree && start <= end && body <= MAX_RECORD).then_some(body + PREFIX)
+}
+
 fn split_prefix(bytes: &[u8]) -> Option<(u8, u64)> {
     let length = u64::from_le_bytes(bytes.get(1..PREFIX as usize)?.try_into().ok()?);
     Some((bytes[0], length))

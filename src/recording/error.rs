@@ -36,7 +36,37 @@ pub enum RecordingError {
         /// What the system said.
         source: io::Error,
     },
-    /// The reading end of the pipe has gone: exit 5.
+    /// The file may not grow further (a file system's or a user's limit): exit 5.
+    #[error(
+        "{target}: the file may not grow beyond {bytes} bytes ({source}); {frames} frames are kept; record in parts with --split"
+    )]
+    FileLimit {
+        /// The file.
+        target: String,
+        /// Whole frames that are safe.
+        frames: u64,
+        /// Bytes that are safe.
+        bytes: u64,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file was deleted while it was written: exit 5.
+    #[error(
+        "{target}: was deleted while it was written; its {frames} frames are lost; name a folder that stays and record again"
+    )]
+    Vanished {
+        /// The file.
+        target: String,
+        /// Frames that were in it.
+        frames: u64,
+    },
+    /// A recording in parts goes to files only: usage, exit 2.
+    #[error("{target} takes one recording, not parts; name a file with -o or leave --split out")]
+    NoParts {
+        /// The pipe or device.
+        target: String,
+    },
+    /// The reading end of the pipe has gone.
     #[error("{target}: the reader has closed the pipe after {frames} frames ({bytes} bytes)")]
     Closed {
         /// File or pipe.
@@ -76,7 +106,7 @@ pub enum RecordingError {
         /// File or pipe.
         target: String,
         /// The channel.
-        topic: &'static str,
+        topic: String,
         /// Its size.
         bytes: usize,
         /// [`MAX_MESSAGE`].
@@ -131,6 +161,16 @@ pub enum RecordingError {
         /// What is missing.
         what: String,
     },
+    /// The recording has no camera of this name.
+    #[error("{}: has no camera `{name}`; it has {known}", .path.display())]
+    NoSuchCamera {
+        /// The file.
+        path: PathBuf,
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
     /// A frame was asked for that the recording does not have.
     #[error("{}: frame {frame} was asked for, the recording has {frames} (0 to {})", .path.display(), .frames.saturating_sub(1))]
     NoSuchFrame {
@@ -141,4 +181,36 @@ pub enum RecordingError {
         /// Frames there are.
         frames: u64,
     },
+}
+
+impl RecordingError {
+    /// Frames that are safe in the output after a write error; `None` for other errors.
+    #[must_use]
+    pub fn kept_frames(&self) -> Option<u64> {
+        match self {
+            Self::DiskFull { frames, .. }
+            | Self::FileLimit { frames, .. }
+            | Self::Closed { frames, .. }
+            | Self::Write { frames, .. }
+            | Self::Finished { frames, .. } => Some(*frames),
+            Self::Vanished { .. } => Some(0),
+            _ => None,
+        }
+    }
+
+    /// Adds what earlier parts of the same recording keep.
+    pub(super) fn beside(mut self, earlier_frames: u64, earlier_bytes: u64) -> Self {
+        match &mut self {
+            Self::DiskFull { frames, bytes, .. }
+            | Self::FileLimit { frames, bytes, .. }
+            | Self::Closed { frames, bytes, .. }
+            | Self::Write { frames, bytes, .. } => {
+                *frames += earlier_frames;
+                *bytes += earlier_bytes;
+            }
+            Self::Finished { frames, .. } => *frames += earlier_frames,
+            _ => {}
+        }
+        self
+    }
 }

@@ -1,7 +1,7 @@
 //! What is in a recording, for people and scripts.
 
 use crate::frame::{Camera, FrameTime};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// One channel of a recording.
@@ -30,6 +30,30 @@ pub struct Damage {
     pub what: String,
 }
 
+/// Where the sensor's frames went, as the writer counted them: `sensor_frames` is `frames` and all
+/// drops together.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Account {
+    /// Frames the sensor made.
+    pub sensor_frames: u64,
+    /// Frames written.
+    pub frames: u64,
+    /// Frames not written, by cause.
+    pub drops: BTreeMap<String, u64>,
+}
+
+impl Account {
+    /// The account in a message of statistics, where it has one.
+    pub(super) fn read(message: &[u8]) -> Option<Self> {
+        #[derive(Deserialize)]
+        struct Statistics {
+            total: Account,
+        }
+        let statistics: Statistics = serde_json::from_slice(message).ok()?;
+        Some(statistics.total)
+    }
+}
+
 /// What [`RecordingReader::info`](super::RecordingReader::info) gives.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Info {
@@ -53,6 +77,8 @@ pub struct Info {
     pub first: FrameTime,
     /// When the last frame was taken.
     pub last: FrameTime,
+    /// True where each frame's device time lies after the time of the frame before.
+    pub monotonic: bool,
     /// Mean frame rate, frames per second; none with fewer than two frames.
     pub fps: Option<f64>,
     /// Mean bit rate of the SAINT stream, bit/s; none with fewer than two frames.
@@ -61,6 +87,9 @@ pub struct Info {
     pub bits_per_frame: Option<f64>,
     /// Sequence numbers skipped between frames: lost before the encoder.
     pub lost_frames: u64,
+    /// Where the sensor's frames went, up to the last statistics in the file. Known after
+    /// [`verify`](super::RecordingReader::verify) or once they were read.
+    pub account: Option<Account>,
     /// The file ends before its end mark.
     pub cut: bool,
     /// The file's index was missing or wrong and was found again by a scan.
@@ -70,7 +99,7 @@ pub struct Info {
     pub damaged: Vec<Damage>,
     /// Domain of the contact maps: `sensor` or `polar`.
     pub contact_map: String,
-    /// Channels, by topic.
+    /// The camera's channels, by topic.
     pub channels: Vec<ChannelInfo>,
     /// The camera.
     pub camera: Camera,

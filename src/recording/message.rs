@@ -12,6 +12,7 @@
 //! (`saint-live/2`). The kind stands first so that key frames are found without the codec.
 
 use crate::codec::EncodedFrame;
+use crate::codec::header::{Header, MAGIC};
 use crate::frame::FrameTime;
 
 /// Bytes before the payload.
@@ -60,4 +61,34 @@ pub fn read(message: &[u8]) -> Option<(FrameHeader, &[u8])> {
         },
     };
     (!payload.is_empty()).then_some((frame, payload))
+}
+
+/// True where the payload's own checksum holds: its last four bytes, in both domains.
+#[must_use]
+pub fn has_whole_payload(payload: &[u8]) -> bool {
+    payload
+        .split_last_chunk::<4>()
+        .is_some_and(|(body, check)| u32::from_le_bytes(*check) == crc32fast::hash(body))
+}
+
+/// Whether a frame's header repeats what its payload says of kind, number and time; `None` for a
+/// payload that does not say it (a polar map). The payload must be whole.
+#[must_use]
+pub fn agrees((frame, payload): &(FrameHeader, &[u8])) -> Option<bool> {
+    let body = payload.strip_suffix(payload.last_chunk::<4>()?)?;
+    if !body.starts_with(&MAGIC) {
+        return None;
+    }
+    let (header, _) = Header::read(body).ok()?;
+    let said = (header.stream.is_some(), header.sequence, header.time);
+    Some(said == (frame.key, frame.sequence, frame.time))
+}
+
+/// Number of the frame that a sensor payload refers to; `None` for one that decodes alone and for
+/// other payloads.
+#[must_use]
+pub fn reference(payload: &[u8]) -> Option<u64> {
+    let body = payload.strip_suffix(payload.last_chunk::<4>()?)?;
+    let (header, _) = Header::read(body).ok()?;
+    header.stream.is_none().then_some(header.reference)
 }

@@ -15,13 +15,14 @@
 //! | `statistics` | `json` | `saint-live.statistics` (jsonschema) | what the pipeline counts |
 //! | `color` | `cdr` | `sensor_msgs/msg/CompressedImage` (ros2msg) | JPEG or PNG, bytes untouched |
 //!
-//! The `saint` channel's metadata repeats the camera as JSON (`camera`), so that the camera is
-//! known from the file's first chunk and from its summary alike, and names the writer
-//! (`generator`). A reader MUST ignore channels it does not know.
+//! The `saint` channel's metadata repeats the camera as JSON (`camera`) and names the writer
+//! (`generator`). Where a recording has several cameras, each has these channels with its name and
+//! a slash before the topic (`left/saint`), its own numbers and its own device clock. A reader MUST
+//! ignore channels it does not know.
 //!
-//! *Several cameras.* Each has a name and its own set of these channels, the name and a slash
-//! before the topic (`left/saint`, `left/color`); each is a stream of its own, with its own
-//! numbers and its own device clock. The index then holds `NAME/tally` and `NAME/crc32` for each.
+//! Each chunk begins with a private record (opcode 0x80) whose body is the file's channel records
+//! so far, whole MCAP records one after another. So the cameras are known from any chunk, and from
+//! the summary; a lost beginning does not lose them.
 //!
 //! # Time
 //! The exact times stand in the frame's header. MCAP's `log_time` is the device clock moved to
@@ -30,39 +31,60 @@
 //! the frame's own wall time, or `log_time` where that is not known. Negative times become 0.
 //!
 //! # Chunks
-//! Not compressed (the payload is entropy coded), each with its CRC, closed when it holds a
-//! second of stream time, is a second old on the writer's clock, or holds 4 MiB; also before a
-//! key frame once it holds half a second, so that a lost chunk costs few frames. The file is
-//! flushed when a chunk is closed: what was closed survives whatever comes later.
+//! Not compressed (the payload is entropy coded), each with its CRC, closed when it holds half a
+//! second of stream time, is half a second old on the writer's clock, or holds 4 MiB; also before
+//! a key frame once it holds a quarter of a second, so that a lost chunk costs few frames.
+//!
+//! A closed chunk is handed to the system at once: it survives the end of the program, however it
+//! comes. With [`Sync::Chunk`] it is on the disk (fdatasync, and the folder's entry) before the
+//! next one is begun: a power cut takes at most the open chunk, as far as the disk keeps its word.
+//! With [`Sync::End`] a power cut may also take what the system had not written yet, usually
+//! half a minute; the file is synced when it is finished.
+//!
+//! Room for the end of the file is reserved ahead (fallocate). On a full disk the frame that finds
+//! no room is refused and the file is finished, whole. Where the file system cannot reserve, the
+//! file is shortened to its last whole chunk: it is cut, and `repair` makes it whole.
 //!
 //! # Index
 //! Before the summary stands a metadata record `saint-live.index`: `tally` is JSON (frames per
-//! chunk, numbers of the key frames, times, losses, bytes per channel) and `crc32` its checksum
-//! (8 hex digits), since MCAP guards metadata with nothing. A reader MUST fall back to a scan
+//! chunk, numbers of the key frames, times, losses of each camera, bytes per channel) and `crc32`
+//! its checksum (8 hex digits), since MCAP guards metadata with nothing. A reader MUST fall back to a scan
 //! where it is missing, fails its checksum, or disagrees with MCAP's own chunk index.
 
 mod calibration;
+mod channels;
+mod check;
+mod chunk;
 mod color;
 mod container;
+mod description;
+mod disk;
 mod error;
 mod index;
 mod info;
+mod loaded;
 pub mod message;
+mod open;
+mod part;
 pub mod raw;
 mod reader;
+mod repair;
 mod sink;
-mod stream;
+mod split;
 mod tally;
 #[cfg(test)]
 mod tests;
+mod topics;
 mod writer;
 
+pub use check::{CheckReport, Finding, Gap, check};
 pub use error::RecordingError;
-pub use info::{ChannelInfo, Damage, Info};
+pub use info::{Account, ChannelInfo, Damage, Info};
 pub use reader::{RecordingReader, Seek};
+pub use repair::{RepairReport, repair};
 pub use sink::Target;
-pub use stream::CameraStream;
-pub use writer::{RecordingSummary, RecordingWriter, WriterOptions};
+pub use split::Split;
+pub use writer::{CameraStream, RecordingSummary, RecordingWriter, Sync, WriterOptions};
 
 /// Topic of the SAINT stream.
 pub const SAINT_TOPIC: &str = "saint";

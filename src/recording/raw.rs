@@ -15,8 +15,8 @@
 //! 4 MiB, like those of a recording: what was closed survives whatever comes later.
 
 use super::color;
+use super::part::write_error;
 use super::sink::Sink;
-use super::writer::write_error;
 use super::{RecordingError, Target};
 use crate::capture::containers::rvl;
 use crate::frame::{Camera, FrameTime};

@@ -1,13 +1,18 @@
 //! Reading a recording: frames in order, from any key frame, through damage.
 
 use super::container::Source;
-use super::index::{Fault, Index, Loaded};
-use super::info::{ChannelInfo, Damage, Info};
-use super::tally::Traffic;
-use super::{CONTACT_MAP_NOTE, RecordingError, SAINT_TOPIC, color, message};
+use super::index::{Fault, Index};
+use super::info::{Account, ChannelInfo, Damage, Info};
+use super::loaded::{Care, Loaded};
+use super::message::FrameHeader;
+use super::tally::{StreamTally, Traffic};
+use super::topics::Role;
+use super::{CONTACT_MAP_NOTE, RecordingError, color, message};
 use crate::codec::{Domain, EncodedFrame};
 use crate::frame::{Camera, ColorFrame, FrameTime};
+use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 
 /// Where [`RecordingReader::seek`] has gone.
@@ -19,12 +24,30 @@ pub struct Seek {
     pub decode_through: u64,
 }
 
-/// A recording opened for reading. Holds one chunk (a second of the stream) in memory.
+/// The camera's part of the chunk in memory.
+#[derive(Default)]
+struct View {
+    /// Each frame's header and where its payload lies.
+    frames: Vec<(FrameHeader, Range<usize>)>,
+    /// Colour images: frames of this chunk before it, MCAP's header, where it lies.
+    colors: Vec<(usize, MessageHeader, Range<usize>)>,
+}
+
+/// One camera of a recording opened for reading. Holds one chunk (half a second of the stream) in
+/// memory.
 pub struct RecordingReader {
-    source: Source,
+    pub(super) source: Source,
+    /// Names of all cameras.
+    cameras: Vec<String>,
+    name: String,
     camera: Camera,
-    index: Index,
+    notes: BTreeMap<String, String>,
+    pub(super) index: Index,
+    tally: StreamTally,
+    /// Number of the first frame of each chunk, and of the frame after the last.
+    firsts: Vec<u64>,
     loaded: Loaded,
+    view: View,
     /// Number of the chunk in `loaded`.
     current: Option<usize>,
     /// The frame that is read next.
@@ -35,45 +58,79 @@ pub struct RecordingReader {
     /// Chunks of the stored index found damaged on reading.
     found: Vec<Fault>,
     colors: Vec<ColorFrame>,
+    account: Option<Account>,
 }
 
 impl RecordingReader {
-    /// Opens a recording: by its index where that is whole, else by a scan of the file. Of several
-    /// cameras the first is read.
+    /// Opens a recording at its first camera: by its index where that is whole, else by
+    /// a scan of the file.
     ///
     /// # Errors
     /// [`RecordingError::Unreadable`], [`RecordingError::NotARecording`], or
     /// [`RecordingError::Damaged`] where not even the camera is left. A cut or damaged file opens.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        Self::open_at(path, None)
+        Self::open_named(path, None)
     }
 
-    /// Opens one camera of a recording of several, by name.
+    /// As [`open`](Self::open), at the camera of this name.
     ///
     /// # Errors
-    /// As [`open`](Self::open); [`RecordingError::NotARecording`] names the cameras there are.
+    /// As [`open`](Self::open), and [`RecordingError::NoSuchCamera`].
     pub fn open_camera(path: &Path, name: &str) -> Result<Self, RecordingError> {
-        Self::open_at(path, Some(name))
+        Self::open_named(path, Some(name))
     }
 
-    fn open_at(path: &Path, name: Option<&str>) -> Result<Self, RecordingError> {
+    fn open_named(path: &Path, name: Option<&str>) -> Result<Self, RecordingError> {
         let source = Source::open(path)?;
-        let index = Index::read(&source, name)?;
-        let Some(camera) = index.channels.camera.clone() else {
-            return Err(source.foreign("does not describe its camera"));
+        let index = Index::read(&source)?;
+        let mut known = index.channels.cameras();
+        let cameras: Vec<_> = known.iter().map(|(name, ..)| (*name).to_owned()).collect();
+        let at = name.map_or(Some(0), |name| {
+            cameras.iter().position(|known| known == name)
+        });
+        let Some(at) = at.filter(|at| *at < known.len()) else {
+            let only = cameras.iter().all(String::is_empty);
+            return Err(RecordingError::NoSuchCamera {
+                path: source.path,
+                name: name.unwrap_or_default().to_owned(),
+                known: match only {
+                    true => "one without a name".to_owned(),
+                    false => cameras.join(", "),
+                },
+            });
         };
+        let (name, camera, notes) = known.swap_remove(at);
+        let name = name.to_owned();
+        let tally = index.tally.streams.get(&name).cloned().unwrap_or_default();
+        let mut firsts = vec![0; index.chunks.len() + 1];
+        for (n, frames) in tally.chunk_frames.iter().enumerate() {
+            firsts[n + 1] = firsts[n] + frames;
+        }
         Ok(Self {
             source,
+            cameras,
+            name,
             camera,
+            notes,
             index,
+            tally,
+            firsts,
             loaded: Loaded::default(),
+            view: View::default(),
             current: None,
             position: 0,
             next_fault: 0,
             cut_told: false,
             found: Vec::new(),
             colors: Vec::new(),
+            account: None,
         })
+    }
+
+    /// Names of all cameras of the recording, in its order; the only one may have none.
+    #[must_use]
+    pub fn cameras(&self) -> &[String] {
+        &self.cameras
     }
 
     /// The camera.
@@ -82,28 +139,22 @@ impl RecordingReader {
         &self.camera
     }
 
-    /// Names of all cameras of the recording, in its order; the only one may have none.
-    #[must_use]
-    pub fn cameras(&self) -> &[String] {
-        &self.index.channels.cameras
-    }
-
     /// What the writer noted beside the camera's stream.
     #[must_use]
     pub fn notes(&self) -> &BTreeMap<String, String> {
-        &self.index.channels.notes
+        &self.notes
     }
 
     /// Number of frames.
     #[must_use]
     pub fn frames(&self) -> u64 {
-        self.index.tally.frames
+        self.tally.frames
     }
 
     /// Numbers of the key frames, ascending.
     #[must_use]
     pub fn key_frames(&self) -> &[u64] {
-        &self.index.tally.key_frames
+        &self.tally.key_frames
     }
 
     /// Number of the frame that [`next_frame`](Self::next_frame) reads.
@@ -119,7 +170,7 @@ impl RecordingReader {
     /// key frame after it. [`RecordingError::Cut`] once at the end of a cut file.
     pub fn next_frame(&mut self, frame: &mut EncodedFrame) -> Result<bool, RecordingError> {
         if let Some(fault) = self.index.faults.get(self.next_fault)
-            && fault.frame <= self.position
+            && self.frames_before(fault) <= self.position
         {
             let error = self.damaged(fault);
             self.next_fault += 1;
@@ -131,12 +182,11 @@ impl RecordingReader {
         }
         let chunk = self.chunk_of(self.position);
         if let Err(fault) = self.load(chunk) {
-            let place = &self.index.chunks[chunk];
-            self.position = self.key_from(place.first_frame + place.frames);
+            self.position = self.key_from(self.firsts[chunk + 1]);
             return Err(self.damaged(&fault));
         }
-        let inside = (self.position - self.index.chunks[chunk].first_frame) as usize;
-        let (header, payload) = &self.loaded.frames[inside];
+        let inside = (self.position - self.firsts[chunk]) as usize;
+        let (header, payload) = &self.view.frames[inside];
         frame.sequence = header.sequence;
         frame.time = header.time;
         frame.key = header.key;
@@ -157,8 +207,8 @@ impl RecordingReader {
         }
         let chunk = self.chunk_of(self.position);
         self.load(chunk).ok()?;
-        let inside = (self.position - self.index.chunks[chunk].first_frame) as usize;
-        Some(self.loaded.frames.get(inside)?.0.time)
+        let inside = (self.position - self.firsts[chunk]) as usize;
+        Some(self.view.frames.get(inside)?.0.time)
     }
 
     /// Goes to the key frame at or before `frame`.
@@ -179,10 +229,8 @@ impl RecordingReader {
             Some(last) => keys[last],
             None => 0,
         };
-        self.next_fault = self
-            .index
-            .faults
-            .partition_point(|f| f.frame <= self.position);
+        let faults = &self.index.faults;
+        self.next_fault = faults.partition_point(|f| self.frames_before(f) <= self.position);
         self.cut_told = false;
         self.colors.clear();
         Ok(Seek {
@@ -194,7 +242,7 @@ impl RecordingReader {
     /// Number of the first frame at or after `seconds` from the first frame (device clock);
     /// [`frames`](Self::frames) where there is none.
     pub fn frame_at(&mut self, seconds: f64) -> u64 {
-        let tally = &self.index.tally;
+        let tally = &self.tally;
         let wanted = tally
             .first
             .device_ns
@@ -202,17 +250,16 @@ impl RecordingReader {
         if wanted > tally.last.device_ns {
             return self.frames();
         }
-        let after = self
-            .index
-            .chunks
-            .partition_point(|place| place.time < wanted);
-        let Some(chunk) = after.checked_sub(1) else {
+        // of chunks without a frame, the one before them holds the time
+        let after = tally.chunk_times.partition_point(|time| *time < wanted);
+        let holds = |chunk: &usize| tally.chunk_frames[*chunk] > 0;
+        let Some(chunk) = (0..after).rev().find(holds) else {
             return 0;
         };
-        let first = self.index.chunks[chunk].first_frame;
+        let first = self.firsts[chunk];
         match self.load(chunk) {
             Ok(()) => {
-                let times = self.loaded.frames.iter();
+                let times = self.view.frames.iter();
                 first + times.take_while(|(h, _)| h.time.device_ns < wanted).count() as u64
             }
             Err(_) => first,
@@ -236,24 +283,25 @@ impl RecordingReader {
     /// What is in the recording.
     #[must_use]
     pub fn info(&self) -> Info {
-        let tally = &self.index.tally;
-        let mut faults: Vec<_> = self.index.faults.iter().chain(&self.found).collect();
-        faults.sort();
-        faults.extend(&self.index.cut);
-        let traffic = |topic: &str| tally.channels.get(topic).copied().unwrap_or_default();
-        let Traffic { messages, bytes } = traffic(SAINT_TOPIC);
+        let tally = &self.tally;
+        let faults = self.index.faults.iter().chain(&self.found);
+        let mut faults: Vec<_> = faults.chain(&self.index.cut).collect();
+        faults.sort_by_key(|fault| fault.offset);
+        let traffic = |topic: &str| {
+            let channels = &self.index.tally.channels;
+            channels.get(topic).copied().unwrap_or_default()
+        };
+        let Traffic { messages, bytes } = traffic(&Role::Saint.topic(&self.name));
         let payload_bits = 8.0 * bytes.saturating_sub(messages * message::HEADER as u64) as f64;
         let duration_s = (tally.last.device_ns.saturating_sub(tally.first.device_ns)) as f64 * 1e-9;
         let fps =
             (tally.frames > 1 && duration_s > 0.0).then(|| (tally.frames - 1) as f64 / duration_s);
         let bits_per_frame = (tally.frames > 0).then(|| payload_bits / tally.frames as f64);
-        let mut notes = self.index.channels.notes.clone();
+        let mut notes = self.notes.clone();
         let generator = notes.remove("generator").unwrap_or_default();
-        let known = &self.index.channels;
-        let mut channels: Vec<_> = (known.by_id.values())
-            .filter_map(|channel| Some((channel, known.own(&channel.topic)?)))
-            .collect();
-        channels.sort_by(|a, b| a.1.cmp(b.1));
+        let channels = self.index.channels.by_id.values();
+        let mut channels: Vec<_> = channels.filter(|c| c.belongs_to(&self.name)).collect();
+        channels.sort_by(|a, b| a.topic.cmp(&b.topic));
         Info {
             path: self.source.path.display().to_string(),
             bytes: self.source.length,
@@ -265,24 +313,33 @@ impl RecordingReader {
             duration_s,
             first: tally.first,
             last: tally.last,
+            monotonic: tally.backward_steps == 0,
             fps,
             bitrate_bps: fps.zip(bits_per_frame).map(|(fps, bits)| fps * bits),
             bits_per_frame,
             lost_frames: tally.lost_frames,
+            account: self.account.clone(),
             cut: self.index.cut.is_some(),
             index_rebuilt: self.index.rebuilt,
-            damaged: faults.into_iter().map(damage).collect(),
+            damaged: faults
+                .into_iter()
+                .map(|fault| Damage {
+                    offset: fault.offset,
+                    frame: self.frames_before(fault),
+                    what: fault.what.clone(),
+                })
+                .collect(),
             contact_map: notes
                 .get(CONTACT_MAP_NOTE)
                 .map_or_else(|| Domain::Sensor.name().to_owned(), Clone::clone),
             channels: channels
                 .into_iter()
-                .map(|(channel, topic)| ChannelInfo {
+                .map(|channel| ChannelInfo {
                     topic: channel.topic.clone(),
-                    schema: channel.schema.clone(),
+                    schema: channel.schema.name.clone(),
                     encoding: channel.encoding.clone(),
-                    messages: traffic(topic).messages,
-                    bytes: traffic(topic).bytes,
+                    messages: traffic(&channel.topic).messages,
+                    bytes: traffic(&channel.topic).bytes,
                 })
                 .collect(),
             camera: self.camera.clone(),
@@ -290,10 +347,17 @@ impl RecordingReader {
         }
     }
 
+    /// Frames of this camera before a fault.
+    fn frames_before(&self, fault: &Fault) -> u64 {
+        self.firsts
+            .get(fault.chunk)
+            .copied()
+            .unwrap_or(self.tally.frames)
+    }
+
     /// Number of the chunk that holds `frame`, which the recording has.
     fn chunk_of(&self, frame: u64) -> usize {
-        let chunks = &self.index.chunks;
-        chunks.partition_point(|place| place.first_frame + place.frames <= frame)
+        self.firsts.partition_point(|first| *first <= frame) - 1
     }
 
     /// The first key frame at or after `frame`, or the end.
@@ -309,24 +373,26 @@ impl RecordingReader {
             return Ok(());
         }
         self.current = None;
-        let place = &self.index.chunks[chunk];
+        let place = self.index.chunks[chunk];
+        let channels = &mut self.index.channels;
         let result = self
             .loaded
-            .load(&self.source, place, &mut self.index.channels);
-        let held = self.loaded.frames.len() as u64;
+            .load(&self.source, &place, Care::Whole, channels);
+        let expected = self.firsts[chunk + 1] - self.firsts[chunk];
         let what = match result {
-            Ok(()) if held == place.frames => {
-                self.current = Some(chunk);
-                return Ok(());
+            Ok(()) => {
+                self.look();
+                let held = self.view.frames.len() as u64;
+                if held == expected {
+                    self.current = Some(chunk);
+                    return Ok(());
+                }
+                format!("the chunk holds {held} frames, the index says {expected}")
             }
-            Ok(()) => format!(
-                "the chunk holds {held} frames, the index says {}",
-                place.frames
-            ),
             Err(what) => what,
         };
         let fault = Fault {
-            frame: place.first_frame,
+            chunk,
             offset: place.offset,
             what,
         };
@@ -336,16 +402,40 @@ impl RecordingReader {
         Err(fault)
     }
 
+    /// Finds what is this camera's in the chunk in memory.
+    fn look(&mut self) {
+        self.view.frames.clear();
+        self.view.colors.clear();
+        for item in &self.loaded.items {
+            let channel = self.index.channels.by_id.get(&item.header.channel_id);
+            let Some(channel) = channel else {
+                continue;
+            };
+            if let Some((header, payload)) = &item.frame {
+                if channel.frames_of() == Some(&self.name) {
+                    self.view.frames.push((*header, payload.clone()));
+                }
+            } else if channel.is_color_of(&self.name) {
+                let place = (self.view.frames.len(), item.header, item.data.clone());
+                self.view.colors.push(place);
+            } else if channel.is_statistics_of(&self.name) {
+                let text = self.loaded.bytes.get(item.data.clone());
+                let told = text.and_then(Account::read);
+                self.account = told.or(self.account.take());
+            }
+        }
+    }
+
     fn collect_colors(&mut self, inside: usize) {
         self.colors.clear();
-        let first = self.index.tally.first;
+        let first = self.tally.first;
         // the log time is the device clock on the first frame's wall clock: undo that
         let offset = match first.wall_ns {
             0 => 0,
             wall => wall.saturating_sub(first.device_ns),
         };
-        let last = inside + 1 == self.loaded.frames.len();
-        for (before, header, place) in &self.loaded.colors {
+        let last = inside + 1 == self.view.frames.len();
+        for (before, header, place) in &self.view.colors {
             // what follows a chunk's last frame goes with that frame
             if *before != inside && !(last && *before > inside) {
                 continue;
@@ -372,7 +462,7 @@ impl RecordingReader {
                 Err(RecordingError::Cut {
                     path: self.source.path.clone(),
                     offset: cut.offset,
-                    frame: cut.frame,
+                    frame: self.frames_before(cut),
                     what: cut.what.clone(),
                 })
             }
@@ -384,16 +474,8 @@ impl RecordingReader {
         RecordingError::Damaged {
             path: self.source.path.clone(),
             offset: fault.offset,
-            frame: fault.frame,
+            frame: self.frames_before(fault),
             what: fault.what.clone(),
         }
-    }
-}
-
-fn damage(fault: &Fault) -> Damage {
-    Damage {
-        offset: fault.offset,
-        frame: fault.frame,
-        what: fault.what.clone(),
     }
 }

@@ -1,6 +1,7 @@
 //! Where a recording goes: a file or a pipe, written in large pieces.
 
 use super::RecordingError;
+use super::disk::Disk;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::os::fd::AsFd;
@@ -124,6 +125,14 @@ impl Sink {
     /// Bytes handed to the system.
     pub(super) fn written(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.written)
+    }
+
+    /// Another handle on a regular file.
+    pub(super) fn disk(&self) -> Option<Disk> {
+        match &self.output {
+            Output::Regular(file) => file.try_clone().ok().map(Disk::new),
+            Output::Stream(_) => None,
+        }
     }
 
     /// Drops what was written after the first `bytes`, where the output can.

@@ -1,5 +1,6 @@
 mod cameras;
 mod damage;
+mod whole;
 
 use super::*;
 use crate::codec::EncodedFrame;
@@ -31,6 +32,13 @@ fn camera() -> Camera {
     }
 }
 
+/// Bytes that end with their checksum, as every payload does.
+fn payload(n: u64) -> Vec<u8> {
+    let mut bytes: Vec<u8> = (0..5 + n % 7).map(|i| (n * 31 + i * 7) as u8).collect();
+    bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+    bytes
+}
+
 /// `count` frames, a key frame each `every`, payloads that differ.
 fn stream(count: u64, every: u64) -> Vec<EncodedFrame> {
     let frame = |n: u64| EncodedFrame {
@@ -40,7 +48,7 @@ fn stream(count: u64, every: u64) -> Vec<EncodedFrame> {
             wall_ns: WALL_NS + n as i64 * FRAME_NS + 77,
         },
         key: n.is_multiple_of(every),
-        payload: (0..5 + n % 7).map(|i| (n * 31 + i * 7) as u8).collect(),
+        payload: payload(n),
     };
     (0..count).map(frame).collect()
 }
@@ -128,14 +136,13 @@ fn what_is_written_comes_back() {
     let path = folder.path().join("a.mcap");
     let mut frames = stream(95, 30);
     frames.remove(40); // the sensor lost one
-    let mut writer = RecordingWriter::create(
-        file(&path),
-        &camera(),
-        &WriterOptions {
-            notes: [("tolerance".to_owned(), "5 mm".to_owned())].into(),
-        },
-    )
-    .unwrap();
+    let noted = CameraStream {
+        name: String::new(),
+        camera: camera(),
+        notes: [("tolerance".to_owned(), "5 mm".to_owned())].into(),
+    };
+    let options = WriterOptions::default();
+    let mut writer = RecordingWriter::create_rig(file(&path), &[noted], &options).unwrap();
     let picture = |frame: &EncodedFrame| ColorFrame {
         sequence: frame.sequence,
         time: frame.time,
@@ -244,9 +251,9 @@ fn other_mcap_readers_open_it() {
     assert_eq!(saint, 70);
     assert!(times.is_sorted());
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    assert!(summary.chunk_indexes.len() >= 3, "a chunk a second");
+    assert!(summary.chunk_indexes.len() >= 5, "two chunks a second");
     for chunk in summary.chunk_indexes {
-        assert!(chunk.message_end_time - chunk.message_start_time < 1_000_000_000);
+        assert!(chunk.message_end_time - chunk.message_start_time < 500_000_000);
     }
 }
 
@@ -439,8 +446,8 @@ fn an_open_depth_range_and_odd_statistics_times_do_no_harm() {
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     assert_eq!(
         summary.chunk_indexes.len(),
-        2,
-        "the beginning, and one second"
+        3,
+        "the beginning, and two half seconds"
     );
 }
 
@@ -453,7 +460,7 @@ proptest! {
         let path = folder.path().join("a.mcap");
         let mut camera = camera();
         (camera.intrinsics.fx, camera.intrinsics.cx, camera.depth_unit_m) = (fx, cx, unit);
-        let writer = RecordingWriter::create(file(&path), &camera, &WriterOptions::default()).unwrap();
+        let mut writer = RecordingWriter::create(file(&path), &camera, &WriterOptions::default()).unwrap();
         writer.finish().unwrap();
         let reader = RecordingReader::open(&path).unwrap();
         prop_assert_eq!(reader.camera(), &camera);

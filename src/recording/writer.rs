@@ -1,47 +1,55 @@
-//! Writing a recording: frames, colour and statistics into chunks that are safe once closed.
+//! Writing a recording: frames, colour and statistics of one camera or several, in one file or in
+//! parts.
 
-use super::calibration::{
-    CALIBRATION_SCHEMA, CAMERA_SCHEMA, calibration, calibration_schema, camera_schema, camera_text,
-};
 use super::message::{self, FrameHeader};
-use super::sink::Sink;
-use super::stream::{CameraStream, Stream};
-use super::tally;
-use super::{
-    CALIBRATION_TOPIC, CAMERA_TOPIC, COLOR_TOPIC, MAX_MESSAGE, RecordingError, SAINT_ENCODING,
-    SAINT_TOPIC, STATISTICS_TOPIC, Target, color,
-};
+use super::open::{Open, Stream};
+use super::part::Part;
+use super::split::{Names, Split};
+use super::topics::{self, Role};
+use super::{RecordingError, Target, color};
 use crate::codec::EncodedFrame;
 use crate::frame::{Camera, ColorFrame, FrameTime};
-use mcap::McapError;
-use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
 
-/// A chunk is closed when its frames span this much stream time, ns.
-const CHUNK_STREAM_NS: i64 = 1_000_000_000;
-/// A chunk is closed when it is this old.
-const CHUNK_AGE: Duration = Duration::from_secs(1);
-/// A chunk is closed when it holds this many bytes.
-const CHUNK_BYTES: usize = 4 << 20;
+/// When a recording's bytes are made to reach the disk itself. What has reached the system, with
+/// each chunk, survives the end of the program in any case.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sync {
+    /// Once, when the file is finished: a power cut before may take what the system still held.
+    #[default]
+    End,
+    /// With each chunk, twice a second: a power cut takes the open chunk only.
+    Chunk,
+}
 
-/// What a recording says of itself beside the camera.
-#[derive(Clone, Debug, Default)]
+/// How a recording is written.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct WriterOptions {
-    /// Extra facts about the stream (tolerance, source, options), as metadata of the `saint`
-    /// channel. The names `camera` and `generator` are taken.
+    /// When bytes must be on the disk.
+    pub sync: Sync,
+    /// Write parts instead of one file.
+    pub split: Option<Split>,
+}
+
+/// One camera of a recording.
+#[derive(Clone, Debug)]
+pub struct CameraStream {
+    /// Its name: its topics are `NAME/saint`, `NAME/color` and so on. Empty for the only camera.
+    pub name: String,
+    /// The camera.
+    pub camera: Camera,
+    /// Extra facts about its stream (tolerance, source, options), as metadata of the `saint`
+    /// channel. The names `camera`, `generator` and `part` are taken.
     pub notes: BTreeMap<String, String>,
 }
 
 /// What is in a finished recording.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct RecordingSummary {
-    /// File or pipe.
+    /// File or pipe; the last of the parts.
     pub target: String,
+    /// Files written.
+    pub parts: u32,
     /// Frames written.
     pub frames: u64,
     /// Key frames among them.
@@ -50,59 +58,37 @@ pub struct RecordingSummary {
     pub color_frames: u64,
     /// Size of the recording, bytes.
     pub bytes: u64,
-    /// Last frame's device time minus the first's, ns.
+    /// Last frame's device time minus the first's, ns, of the camera with the most.
     pub duration_ns: i64,
 }
 
 /// Writes one recording. Dropped without [`finish`](Self::finish) it still finalises the file,
 /// but nobody hears of an error.
 pub struct RecordingWriter {
-    /// `None` once finished or failed.
-    container: Option<mcap::Writer<NoSeek<Sink>>>,
-    target: String,
-    /// One per camera.
     streams: Vec<Stream>,
-    chunk: Chunk,
-    kept_frames: u64,
-    kept_bytes: u64,
-    /// Bytes the sink has handed to the system.
-    written: Arc<AtomicU64>,
+    options: WriterOptions,
+    names: Option<Names>,
+    current: Open,
+    /// The part before, while some camera waits for its key frame to leave it.
+    closing: Option<Open>,
+    finished: Finished,
     message: Vec<u8>,
 }
 
-/// The chunk that is open.
-#[derive(Default)]
-struct Chunk {
-    /// When its first message came; `None` while it is empty.
-    since: Option<Instant>,
-    /// Camera and device time (ns) of its first frame. Other messages, and other cameras, may
-    /// keep clocks of their own.
-    first: Option<(usize, i64)>,
-    bytes: usize,
-}
-
-impl Chunk {
-    /// Whether the chunk must be closed before a message of `bytes` goes in.
-    fn is_full(&self, kind: Kind, bytes: usize, now: Instant) -> bool {
-        let Some(since) = self.since else {
-            return false;
-        };
-        let span = match (kind, self.first) {
-            (Kind::Key(at) | Kind::Predicted(at), Some(first)) if at.0 == first.0 => {
-                at.1.saturating_sub(first.1)
-            }
-            _ => 0,
-        };
-        let span = span.saturating_abs();
-        let age = now.saturating_duration_since(since);
-        let early = matches!(kind, Kind::Key(_)) && span >= CHUNK_STREAM_NS / 2;
-        span >= CHUNK_STREAM_NS || age >= CHUNK_AGE || self.bytes + bytes > CHUNK_BYTES || early
-    }
+/// Parts that are complete.
+#[derive(Clone, Default)]
+struct Finished {
+    parts: u32,
+    /// Frames by camera.
+    kept: BTreeMap<String, u64>,
+    key_frames: u64,
+    color_frames: u64,
+    bytes: u64,
 }
 
 impl RecordingWriter {
-    /// Opens the target and writes the container's beginning: the camera is safe before the
-    /// first frame comes.
+    /// Opens the target for one camera and writes the container's beginning: the camera is safe
+    /// before the first frame comes.
     ///
     /// # Errors
     /// [`RecordingError::Exists`], [`RecordingError::Unwritable`], or a write error.
@@ -114,70 +100,48 @@ impl RecordingWriter {
         let only = CameraStream {
             name: String::new(),
             camera: camera.clone(),
-            notes: options.notes.clone(),
+            notes: BTreeMap::new(),
         };
-        Self::create_rig(target, &[only])
+        Self::create_rig(target, &[only], options)
     }
 
     /// Opens the target for several cameras, each with channels of its own; their numbers in
-    /// [`frame_of`](Self::frame_of) are their places in `cameras`. The names must differ, and the
-    /// only camera of a recording may have none.
+    /// [`frame_of`](Self::frame_of) are their places in `cameras`. The names must differ.
     ///
     /// # Errors
     /// As [`create`](Self::create).
-    pub fn create_rig(target: Target, cameras: &[CameraStream]) -> Result<Self, RecordingError> {
-        let name = target.name();
-        let sink = Sink::open(target)?;
-        let written = sink.written();
-        let container = mcap::WriteOptions::new()
-            .library(generator())
-            .chunk_size(None) // closed here, by time and size
-            .compression(None)
-            .disable_seeking(true)
-            .create(NoSeek::new(sink))
-            .map_err(|e| write_error(e, &name, 0, 0))?;
-        let mut writer = Self {
-            container: Some(container),
-            target: name,
-            streams: Vec::new(),
-            chunk: Chunk::default(),
-            kept_frames: 0,
-            kept_bytes: 0,
-            written,
-            message: Vec::new(),
+    pub fn create_rig(
+        target: Target,
+        cameras: &[CameraStream],
+        options: &WriterOptions,
+    ) -> Result<Self, RecordingError> {
+        let streams: Vec<_> = cameras
+            .iter()
+            .map(|stream| Stream {
+                name: stream.name.clone(),
+                camera: stream.camera.clone(),
+                notes: stream.notes.clone(),
+                lags: false,
+                span_ns: None,
+            })
+            .collect();
+        let mut names = options.split.map(|_| Names::new(&target)).transpose()?;
+        let (target, number) = match &mut names {
+            Some(names) => names.next(),
+            None => (target, 0),
         };
-        for camera in cameras {
-            writer.begin(camera)?;
-        }
-        writer.open_chunk();
-        writer.close_chunk()?;
-        Ok(writer)
+        Ok(Self {
+            current: Open::create(target, number, &streams, options)?,
+            streams,
+            options: *options,
+            names,
+            closing: None,
+            finished: Finished::default(),
+            message: Vec::new(),
+        })
     }
 
-    /// Channels every camera has, in the first chunk.
-    fn begin(&mut self, camera: &CameraStream) -> Result<(), RecordingError> {
-        let mut stream = Stream::new(&camera.name, &camera.camera);
-        let mut facts = camera.notes.clone();
-        facts.insert("generator".to_owned(), generator());
-        facts.insert("camera".to_owned(), camera_text(&camera.camera));
-        let schema = ("saint-live.frame", "text", SAINT_SCHEMA.to_owned());
-        let topic = stream.topic(SAINT_TOPIC);
-        stream.saint = self.add_channel(&topic, SAINT_ENCODING, schema, &facts)?;
-        stream.calibration = self.add_json(
-            &stream.topic(CALIBRATION_TOPIC),
-            CALIBRATION_SCHEMA,
-            &calibration_schema().to_string(),
-        )?;
-        stream.camera_channel = self.add_json(
-            &stream.topic(CAMERA_TOPIC),
-            CAMERA_SCHEMA,
-            &camera_schema().to_string(),
-        )?;
-        self.streams.push(stream);
-        Ok(())
-    }
-
-    /// Appends one frame.
+    /// Appends one frame of the first camera.
     ///
     /// # Errors
     /// A write error says how many frames are safe; the recording is closed by it.
@@ -190,37 +154,33 @@ impl RecordingWriter {
     /// # Errors
     /// As [`frame`](Self::frame); [`RecordingError::Container`] where there is no such camera.
     pub fn frame_of(&mut self, camera: usize, frame: &EncodedFrame) -> Result<(), RecordingError> {
-        let stream = self.stream(camera)?;
-        stream.set_clock(frame.time);
-        let saint = stream.saint;
-        let mut message = std::mem::take(&mut self.message);
-        message::write(frame, &mut message);
+        self.stream(camera)?;
         let header = FrameHeader {
             key: frame.key,
             sequence: frame.sequence,
             time: frame.time,
         };
-        let kind = if header.key {
-            Kind::Key((camera, header.time.device_ns))
-        } else {
-            Kind::Predicted((camera, header.time.device_ns))
-        };
+        if header.key {
+            self.turn_page(camera, header.time)?;
+        }
+        let mut message = std::mem::take(&mut self.message);
+        message::write(frame, &mut message);
+        let place = (camera, Role::Saint);
         let result = self.put(
-            camera,
-            saint,
-            SAINT_TOPIC,
+            place,
             (header.sequence, header.time),
-            kind,
+            Some(header),
             &message,
         );
-        if result.is_ok() {
-            self.stream(camera)?.tally.frame(&header);
-        }
         self.message = message;
-        result
+        result?;
+        let now_ns = header.time.device_ns;
+        let span = &mut self.streams[camera].span_ns;
+        *span = Some((span.map_or(now_ns, |(first, _)| first), now_ns));
+        Ok(())
     }
 
-    /// Appends one colour image, its bytes untouched.
+    /// Appends one colour image of the first camera, its bytes untouched.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
@@ -233,33 +193,17 @@ impl RecordingWriter {
     /// # Errors
     /// As [`frame_of`](Self::frame_of).
     pub fn color_of(&mut self, camera: usize, frame: &ColorFrame) -> Result<(), RecordingError> {
-        let stream = self.stream(camera)?;
-        stream.set_clock(frame.time);
-        let stamp = stream.log_time(frame.time);
-        let channel = match stream.color {
-            Some(channel) => channel,
-            None => {
-                let topic = stream.topic(COLOR_TOPIC);
-                let schema = (color::SCHEMA, "ros2msg", color::DEFINITION.to_owned());
-                let channel = self.add_channel(&topic, "cdr", schema, &BTreeMap::new())?;
-                *self.stream(camera)?.color.insert(channel)
-            }
-        };
+        let lags = self.stream(camera)?.lags;
+        let stamp = self.page(lags).log_time(camera, frame.time, true);
         let mut message = std::mem::take(&mut self.message);
         color::write(frame, stamp, &mut message);
-        let result = self.put(
-            camera,
-            channel,
-            COLOR_TOPIC,
-            (frame.sequence, frame.time),
-            Kind::Other,
-            &message,
-        );
+        let place = (camera, Role::Color);
+        let result = self.put(place, (frame.sequence, frame.time), None, &message);
         self.message = message;
         result
     }
 
-    /// Appends one set of statistics, at the time of the frame they follow.
+    /// Appends one set of statistics of the first camera, at the time of the frame they follow.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
@@ -281,307 +225,187 @@ impl RecordingWriter {
         statistics: &serde_json::Value,
         time: FrameTime,
     ) -> Result<(), RecordingError> {
-        let stream = self.stream(camera)?;
-        let channel = match stream.statistics {
-            Some(channel) => channel,
-            None => {
-                let topic = stream.topic(STATISTICS_TOPIC);
-                let schema = r#"{"title":"saint-live.statistics","type":"object"}"#;
-                let channel = self.add_json(&topic, "saint-live.statistics", schema)?;
-                *self.stream(camera)?.statistics.insert(channel)
-            }
-        };
+        self.stream(camera)?;
         let text = statistics.to_string();
-        self.put(
-            camera,
-            channel,
-            STATISTICS_TOPIC,
-            (0, time),
-            Kind::Other,
-            text.as_bytes(),
-        )
+        self.put((camera, Role::Statistics), (0, time), None, text.as_bytes())
     }
 
-    /// Closes the chunk that is open if it is a second old. Call it while no frame comes, so that
-    /// a stalled camera does not keep frames from the disk.
+    /// Closes the chunk that is open if it is old enough. Call it while no frame comes, so that a
+    /// stalled camera does not keep frames from the disk.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
     pub fn idle(&mut self) -> Result<(), RecordingError> {
-        match self.chunk.since {
-            Some(since) if since.elapsed() >= CHUNK_AGE => self.close_chunk(),
-            _ => Ok(()),
-        }
+        let result = self
+            .closing
+            .as_mut()
+            .map_or(Ok(()), |open| open.part.idle());
+        let result = result.and_then(|()| self.current.part.idle());
+        result.map_err(|error| self.beside(error))
     }
 
     /// Writes the index and the end mark.
     ///
     /// # Errors
     /// As [`frame`](Self::frame); closed chunks stay readable then.
-    pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
-        self.finalise()?;
-        let tallies = || self.streams.iter().map(|stream| &stream.tally);
+    pub fn finish(&mut self) -> Result<RecordingSummary, RecordingError> {
+        self.close_lagging()?;
+        let result = self.current.part.finish();
+        result.map_err(|error| self.beside(error))?;
+        let mut all = self.finished.clone();
+        all.add(&self.current.part);
+        let spans = self.streams.iter().filter_map(|stream| stream.span_ns);
+        let durations = spans.map(|(first, last)| last.saturating_sub(first));
         Ok(RecordingSummary {
-            target: self.target.clone(),
-            frames: self.frames(),
-            key_frames: tallies().map(|t| t.key_frames.len() as u64).sum(),
-            color_frames: tallies()
-                .filter_map(|t| t.channels.get(COLOR_TOPIC))
-                .map(|traffic| traffic.messages)
-                .sum(),
-            bytes: self.kept_bytes,
-            duration_ns: tallies()
-                .map(|t| t.last.device_ns.saturating_sub(t.first.device_ns))
-                .max()
-                .unwrap_or(0),
+            target: self.current.part.target.clone(),
+            parts: all.parts,
+            frames: all.frames(),
+            key_frames: all.key_frames,
+            color_frames: all.color_frames,
+            bytes: all.bytes,
+            duration_ns: durations.max().unwrap_or(0),
         })
     }
 
     /// Frames that are safe whatever happens next.
     #[must_use]
     pub fn kept_frames(&self) -> u64 {
-        self.kept_frames
+        let open = self.open_parts().map(Part::kept_frames);
+        self.finished.frames() + open.sum::<u64>()
+    }
+
+    /// As [`kept_frames`](Self::kept_frames), of one camera of [`create_rig`](Self::create_rig).
+    #[must_use]
+    pub fn kept_frames_of(&self, camera: usize) -> u64 {
+        let Some(stream) = self.streams.get(camera) else {
+            return 0;
+        };
+        let kept = self.open_parts().map(|part| &part.kept);
+        let kept = kept.chain([&self.finished.kept]);
+        kept.filter_map(|kept| kept.get(&stream.name)).sum()
     }
 
     /// Bytes that are safe whatever happens next.
     #[must_use]
     pub fn kept_bytes(&self) -> u64 {
-        self.kept_bytes
+        let open = self.open_parts().map(|part| part.kept_bytes);
+        self.finished.bytes + open.sum::<u64>()
     }
 
-    fn finalise(&mut self) -> Result<(), RecordingError> {
-        if self.chunk.since.is_some() {
-            self.close_chunk()?;
-        }
-        let index = Metadata {
-            name: tally::RECORD.to_owned(),
-            metadata: self
-                .streams
-                .iter()
-                .flat_map(|stream| stream.tally.to_metadata(&stream.prefix))
-                .collect(),
+    fn open_parts(&self) -> impl Iterator<Item = &Part> {
+        let open = self.closing.iter().chain([&self.current]);
+        open.map(|open| &open.part)
+    }
+
+    fn stream(&self, camera: usize) -> Result<&Stream, RecordingError> {
+        let none = || RecordingError::Container {
+            target: self.current.part.target.clone(),
+            what: format!("no camera number {camera}, it has {}", self.streams.len()),
         };
-        self.with(|container| {
-            container.write_metadata(&index)?;
-            container.finish().map(|_| ())
-        })?;
-        let Some(container) = self.container.take() else {
+        self.streams.get(camera).ok_or_else(none)
+    }
+
+    /// At a key frame of `camera`: begins a new part where one is due, or lets the camera leave
+    /// the part before.
+    fn turn_page(&mut self, camera: usize, time: FrameTime) -> Result<(), RecordingError> {
+        if std::mem::take(&mut self.streams[camera].lags) {
+            if self.streams.iter().all(|stream| !stream.lags) {
+                self.close_lagging()?;
+            }
+            return Ok(());
+        }
+        let (Some(split), Some(names)) = (self.options.split, &mut self.names) else {
             return Ok(());
         };
-        let mut sink = container.into_inner().into_inner();
-        let end = sink.flush().and_then(|()| sink.sync());
-        if let Err(source) = end {
-            sink.keep(self.kept_bytes);
-            return Err(self.write_error(source.into()));
+        let grown = self.current.grown(camera, time.device_ns);
+        if !grown.is_some_and(|grown| split.is_due(grown)) {
+            return Ok(());
         }
-        self.kept_bytes = self.written.load(Ordering::Relaxed);
+        let (target, number) = names.next();
+        // a camera that fell silent does not keep the part before the last open
+        self.close_lagging()?;
+        let next = match Open::create(target, number, &self.streams, &self.options) {
+            Ok(next) => next,
+            Err(error) => {
+                // the part that is open ends well
+                self.current.part.finish()?;
+                return Err(error.beside(self.kept_frames(), self.kept_bytes()));
+            }
+        };
+        self.closing = Some(std::mem::replace(&mut self.current, next));
+        for (n, stream) in self.streams.iter_mut().enumerate() {
+            stream.lags = n != camera;
+        }
+        if self.streams.len() == 1 {
+            self.close_lagging()?;
+        }
         Ok(())
     }
 
-    fn stream(&mut self, camera: usize) -> Result<&mut Stream, RecordingError> {
-        let cameras = self.streams.len();
-        self.streams
-            .get_mut(camera)
-            .ok_or_else(|| RecordingError::Container {
-                target: self.target.clone(),
-                what: format!("no camera number {camera}, it has {cameras}"),
-            })
-    }
-
-    /// Frames of all cameras.
-    fn frames(&self) -> u64 {
-        self.streams.iter().map(|stream| stream.tally.frames).sum()
-    }
-
-    fn open_chunk(&mut self) {
+    /// Completes the part before, where it is still open.
+    fn close_lagging(&mut self) -> Result<(), RecordingError> {
         for stream in &mut self.streams {
-            stream.tally.open_chunk();
+            stream.lags = false;
+        }
+        let Some(mut open) = self.closing.take() else {
+            return Ok(());
+        };
+        let result = open.part.finish();
+        self.finished.add(&open.part);
+        result.map_err(|error| self.beside(error))
+    }
+
+    /// The part a camera's messages go to.
+    fn page(&mut self, lags: bool) -> &mut Open {
+        match &mut self.closing {
+            Some(open) if lags => open,
+            _ => &mut self.current,
         }
     }
 
-    /// One message into the open chunk, after closing it if it is full.
     fn put(
         &mut self,
-        camera: usize,
-        channel: u16,
-        topic: &'static str,
-        (sequence, time): (u64, FrameTime),
-        kind: Kind,
+        (camera, role): (usize, Role),
+        stamp: (u64, FrameTime),
+        header: Option<FrameHeader>,
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        if data.len() > MAX_MESSAGE {
-            return Err(RecordingError::TooLarge {
-                target: self.target.clone(),
-                topic,
-                bytes: data.len(),
-                limit: MAX_MESSAGE,
-            });
-        }
-        let now = Instant::now();
-        if self.chunk.is_full(kind, data.len(), now) {
-            self.close_chunk()?;
-        }
-        if self.chunk.since.is_none() {
-            self.open_chunk();
-            self.chunk.since = Some(now);
-        }
-        if let Kind::Key(at) | Kind::Predicted(at) = kind {
-            self.chunk.first.get_or_insert(at);
-        }
-        if !self.stream(camera)?.described {
-            self.describe_camera(camera, time)?;
-        }
-        self.append(camera, channel, topic, (sequence, time), data)
-    }
-
-    /// The camera's two messages, at the first message's time.
-    fn describe_camera(&mut self, camera: usize, time: FrameTime) -> Result<(), RecordingError> {
-        let stream = self.stream(camera)?;
-        stream.described = true;
-        let (first, second) = (stream.calibration, stream.camera_channel);
-        let text = calibration(&stream.camera, stream.log_time(time)).to_string();
-        let whole = camera_text(&stream.camera);
-        self.append(camera, first, CALIBRATION_TOPIC, (0, time), text.as_bytes())?;
-        self.append(camera, second, CAMERA_TOPIC, (0, time), whole.as_bytes())
-    }
-
-    fn append(
-        &mut self,
-        camera: usize,
-        channel_id: u16,
-        topic: &'static str,
-        (sequence, time): (u64, FrameTime),
-        data: &[u8],
-    ) -> Result<(), RecordingError> {
-        let log_time = self.stream(camera)?.log_time(time);
-        let header = MessageHeader {
-            channel_id,
-            sequence: sequence as u32, // MCAP's field; the whole number stands in our header
-            log_time,
-            publish_time: match u64::try_from(time.wall_ns) {
-                Ok(wall) if wall > 0 => wall,
-                _ => log_time,
-            },
+        let stream = &self.streams[camera];
+        let open = match &mut self.closing {
+            Some(open) if stream.lags => open,
+            _ => &mut self.current,
         };
-        self.with(|container| container.write_to_known_channel(&header, data))?;
-        self.stream(camera)?.tally.message(topic, data.len());
-        self.chunk.bytes += data.len();
-        Ok(())
+        let result = open.put(stream, (camera, role), stamp, header, data);
+        result.map_err(|error| self.beside(error))
     }
 
-    fn close_chunk(&mut self) -> Result<(), RecordingError> {
-        self.with(mcap::Writer::flush)?;
-        self.chunk = Chunk::default();
-        self.kept_frames = self.frames();
-        self.kept_bytes = self.written.load(Ordering::Relaxed);
-        Ok(())
+    /// An error of one part speaks for the whole recording.
+    fn beside(&self, error: RecordingError) -> RecordingError {
+        error.beside(self.finished.frames(), self.finished.bytes)
+    }
+}
+
+impl Finished {
+    fn frames(&self) -> u64 {
+        self.kept.values().sum()
     }
 
-    fn add_json(&mut self, topic: &str, name: &str, schema: &str) -> Result<u16, RecordingError> {
-        let schema = (name, "jsonschema", schema.to_owned());
-        self.add_channel(topic, "json", schema, &BTreeMap::new())
-    }
-
-    fn add_channel(
-        &mut self,
-        topic: &str,
-        encoding: &str,
-        (name, schema_encoding, schema): (&str, &str, String),
-        metadata: &BTreeMap<String, String>,
-    ) -> Result<u16, RecordingError> {
-        self.with(|container| {
-            let id = container.add_schema(name, schema_encoding, schema.as_bytes())?;
-            container.add_channel(id, topic, encoding, metadata)
-        })
-    }
-
-    /// Runs one step of the container. After an error nothing more is written, and a file is
-    /// shortened to its last whole chunk.
-    fn with<T>(
-        &mut self,
-        step: impl FnOnce(&mut mcap::Writer<NoSeek<Sink>>) -> Result<T, McapError>,
-    ) -> Result<T, RecordingError> {
-        let Some(mut container) = self.container.take() else {
-            return Err(RecordingError::Finished {
-                target: self.target.clone(),
-                frames: self.kept_frames,
-            });
-        };
-        match step(&mut container) {
-            Ok(value) => {
-                self.container = Some(container);
-                Ok(value)
-            }
-            Err(error) => {
-                container.into_inner().into_inner().keep(self.kept_bytes);
-                Err(self.write_error(error))
-            }
+    fn add(&mut self, part: &Part) {
+        let tally = &part.tally;
+        let color = tally.channels.iter().filter(|(topic, _)| {
+            let (camera, _) = topics::split(topic);
+            **topic == Role::Color.topic(camera)
+        });
+        self.parts += 1;
+        for (camera, frames) in &part.kept {
+            *self.kept.entry(camera.clone()).or_default() += frames;
         }
-    }
-
-    fn write_error(&self, error: McapError) -> RecordingError {
-        write_error(error, &self.target, self.kept_frames, self.kept_bytes)
-    }
-}
-
-impl Drop for RecordingWriter {
-    fn drop(&mut self) {
-        if self.container.is_some() {
-            let _ = self.finalise();
-        }
-    }
-}
-
-/// What the chunking rule wants to know of a message: a frame's camera and device time, ns.
-#[derive(Clone, Copy)]
-enum Kind {
-    Key((usize, i64)),
-    Predicted((usize, i64)),
-    Other,
-}
-
-/// The `saint` channel's schema: where to read on.
-const SAINT_SCHEMA: &str = "\
-One frame of a saint-live stream, little endian:
-u8 kind ('K' decodes alone, 'P' needs the frame before it), u64 sequence, i64 device clock ns,
-i64 wall clock ns, then the payload that src/codec/FORMAT.md of saint-live describes.
-";
-
-fn generator() -> String {
-    concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned()
-}
-
-pub(super) fn write_error(
-    error: McapError,
-    target: &str,
-    frames: u64,
-    bytes: u64,
-) -> RecordingError {
-    let target = target.to_owned();
-    match error {
-        McapError::Io(source) => match source.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => RecordingError::DiskFull {
-                target,
-                frames,
-                bytes,
-                source,
-            },
-            io::ErrorKind::BrokenPipe => RecordingError::Closed {
-                target,
-                frames,
-                bytes,
-                source,
-            },
-            _ => RecordingError::Write {
-                target,
-                frames,
-                bytes,
-                source,
-            },
-        },
-        other => RecordingError::Container {
-            target,
-            what: other.to_string(),
-        },
+        self.key_frames += tally
+            .streams
+            .values()
+            .map(|stream| stream.key_frames.len() as u64)
+            .sum::<u64>();
+        self.color_frames += color.map(|(_, traffic)| traffic.messages).sum::<u64>();
+        self.bytes += part.kept_bytes;
     }
 }

@@ -3,15 +3,15 @@
 use super::super::args::{LiveArgs, StatsArg};
 use super::super::engine::{EncodeStage, Engine, ModelStage};
 use super::super::failure::{Failure, Kind};
-use super::super::sink::Output;
 use super::super::source::{self, Color};
 use super::super::status::Display;
 use super::super::values::Length;
-use super::super::{message, report, signals};
+use super::super::{message, report, signals, sink};
 use super::{Run, pace_of};
 use saint_live::capture::FrameSource;
 use saint_live::pipeline::clock::Monotonic;
 use saint_live::pipeline::color::ColorSource;
+use saint_live::pipeline::recorder::Recorder;
 use saint_live::pipeline::report::Report;
 use saint_live::pipeline::{self, Stages};
 use saint_live::recording::CameraStream;
@@ -55,7 +55,7 @@ pub(super) fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
             notes: camera.run.all_notes(camera.source.as_ref()),
         })
         .collect();
-    let outputs = Output::open_all(&args.stream, &streams)?;
+    let outputs = sink::open_rig(&args.stream, &streams)?;
     let stop = signals::stop_flag()?;
     let board = Board::new(&cameras);
     let results = thread::scope(|scope| {
@@ -136,7 +136,7 @@ fn open<'a>(
 /// Runs one camera's pipeline to its end.
 fn stream(
     camera: Opened<'_>,
-    mut output: Output,
+    mut output: Recorder,
     number: usize,
     board: &Board,
     stop: &AtomicBool,
