@@ -105,7 +105,10 @@ fn back_pressure_bounds_the_frames_under_way() {
     );
     outcome.result.unwrap();
     let most = most.load(Ordering::SeqCst);
-    assert!(most <= (IN_STAGES + WAITING) as u64, "{most} frames under way");
+    assert!(
+        most <= (IN_STAGES + WAITING) as u64,
+        "{most} frames under way"
+    );
     assert_eq!(sink.sequences.len(), 200);
 }
 
@@ -293,7 +296,11 @@ fn a_stop_writes_what_is_under_way() {
             source.at,
             "all taken frames are written"
         );
-        assert!(source.at <= 21 + IN_STAGES + WAITING, "{} frames taken", source.at);
+        assert!(
+            source.at <= 21 + IN_STAGES + WAITING,
+            "{} frames taken",
+            source.at
+        );
     }
 }
 
