@@ -14,7 +14,8 @@ use saint_live::recording::RecordingReader;
 use std::path::Path;
 
 /// A camera whose frames do not depend on the machine's time: numbers, times, noise, gaps.
-const CAMERA: &str = "synthetic:juggle,size=96x64,noise=stereo,unit=0.0005,fps=90,frames=7,paced=false";
+const CAMERA: &str =
+    "synthetic:juggle,size=96x64,noise=stereo,unit=0.0005,fps=90,frames=7,paced=false";
 
 fn frames(recording: &Path) -> Vec<EncodedFrame> {
     let mut reader = RecordingReader::open(recording).unwrap();
@@ -41,7 +42,14 @@ fn replay_of_a_raw_capture_equals_live_bit_for_bit() {
             let arguments = ["record", "-q", "-d", CAMERA, "--overwrite", "--to", form];
             run([&arguments[..], &["-o", text(&raw)]].concat(), 0);
             let again = path("again.mcap");
-            let arguments = ["replay", text(&raw), "-q", "--overwrite", "-o", text(&again)];
+            let arguments = [
+                "replay",
+                text(&raw),
+                "-q",
+                "--overwrite",
+                "-o",
+                text(&again),
+            ];
             run([&arguments[..], mode].concat(), 0);
             let again = frames(&again);
             assert_eq!(again.len(), live.len(), "{form}");
@@ -60,14 +68,26 @@ fn a_capture_goes_to_a_pipe_and_is_never_overwritten_unasked() {
     let path = folder.path().join("raw.mcap");
     let file = ["record", "-d", CAMERA, "-o", text(&path)];
     let (_, said) = run(file, 0);
-    assert!(said.contains("7 of 7 frames") && said.contains("dropped 0"), "{said}");
+    assert!(
+        said.contains("7 of 7 frames") && said.contains("dropped 0"),
+        "{said}"
+    );
     let (_, said) = run(file, 2);
     assert!(said.contains("exists"), "{said}");
     let piped = program::run_bytes(["record", "-q", "-d", CAMERA, "-o", "-"], 0).stdout;
     assert_eq!(piped, std::fs::read(&path).unwrap());
     for form in ["png16", "exr"] {
         let into = folder.path().join(form);
-        let images = ["record", "-q", "-d", CAMERA, "--to", form, "-o", text(&into)];
+        let images = [
+            "record",
+            "-q",
+            "-d",
+            CAMERA,
+            "--to",
+            form,
+            "-o",
+            text(&into),
+        ];
         run(images, 0);
         let (_, said) = run(images, 2);
         assert!(said.contains("not empty"), "{said}");
