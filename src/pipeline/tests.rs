@@ -289,7 +289,11 @@ fn a_stop_writes_what_is_under_way() {
             source.at,
             "all taken frames are written"
         );
-        assert!(source.at <= 21 + PACKETS, "{} frames taken", source.at);
+        assert!(
+            source.at <= 21 + IN_STAGES + WAITING,
+            "{} frames taken",
+            source.at
+        );
     }
 }
 
