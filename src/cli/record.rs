@@ -155,7 +155,7 @@ struct Output {
 }
 
 enum To {
-    Mcap(Option<RawWriter>),
+    Mcap(Option<Box<RawWriter>>),
     Folder(Folder),
 }
 
@@ -171,7 +171,7 @@ struct Folder {
 impl Output {
     fn open(args: &RecordArgs, camera: &Camera) -> Result<Self, Failure> {
         let to = match args.to {
-            RecordArg::Mcap => To::Mcap(Some(RawWriter::create(target(args)?, camera)?)),
+            RecordArg::Mcap => To::Mcap(Some(Box::new(RawWriter::create(target(args)?, camera)?))),
             RecordArg::Png16 => {
                 let folder = prepared(args)?;
                 write_camera_json(&folder, camera).map_err(super::export::output_error)?;

@@ -186,7 +186,8 @@ impl Bins {
                 2 * half(reach, at, 1.0)
             };
         }
-        integers > 0 && bins * 4 < plain * 3
+        // a list costs time and bits: it must halve the bins, where it is not all that there is
+        integers > 0 && bins * if lossless { 1 } else { 2 } < plain
     }
 
     /// Codes the integers that are not listed yet; `wanted` is the plane that must be covered (not

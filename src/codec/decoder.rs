@@ -301,30 +301,34 @@ fn write_frame(
         let whole = &rebuilt.cells()[start..start + width];
         let depth = &mut frame.depth_m[y * width..(y + 1) * width];
         let labels = &mut frame.labels[y * width..(y + 1) * width];
-        let v = rays.v[y];
-        for x in 0..width {
-            let q = rays.u[x] * rays.u[x] + v * v + 1.0;
-            let d = smooth[x];
+        let stands = |d: f32| d > 0.0 && d < BEYOND && !lossless;
+        let mut binned = false;
+        let seen = on.iter().zip(label).zip(smooth.iter().zip(whole));
+        for ((z, l), ((&on, &label), (&d, &integer))) in
+            depth.iter_mut().zip(labels.iter_mut()).zip(seen)
+        {
+            let (on, own) = (on != 0, stands(d));
             // 0 would mean that nothing was measured
+            let binned_z = f32::from(integer.max(1)) * single;
+            *z = if own { d * single } else { binned_z };
+            *z = if on { *z } else { 0.0 };
+            *l = if own { label } else { NO_SPHERE };
+            *l = if on { *l } else { INVALID };
+            binned |= on & !own;
+        }
+        if !binned {
+            continue;
+        }
+        let v = rays.v[y];
+        for x in (0..width).filter(|&x| on[x] != 0 && !stands(smooth[x])) {
             let integer = whole[x].max(1);
-            let stands = d > 0.0 && d < BEYOND;
-            depth[x] = if on[x] == 0 {
-                0.0
-            } else if lossless {
-                (f64::from(integer) * unit) as f32
-            } else if stands {
-                d * single
-            } else {
-                f32::from(integer) * single
-            };
-            let touches = (stands && !lossless) || reach.touches(f32::from(integer), d.abs(), q);
-            labels[x] = if on[x] == 0 {
-                INVALID
-            } else if touches {
-                label[x]
-            } else {
-                NO_SPHERE
-            };
+            if lossless {
+                depth[x] = (f64::from(integer) * unit) as f32;
+            }
+            let q = rays.u[x] * rays.u[x] + v * v + 1.0;
+            if reach.touches(f32::from(integer), smooth[x].abs(), q) {
+                labels[x] = label[x];
+            }
         }
     }
     frame.spheres.clear();

@@ -11,8 +11,6 @@ use crate::fit::sphere::Sphere;
 
 /// Relative error of a depth rebuilt in single precision, a few roundings.
 const ROUNDING: f32 = 4e-7;
-/// Share of the floor that a residual step uses; the rest is room for the same rounding.
-const SAFE: f32 = 0.999;
 
 /// A contact distance in the sensor's own integers: `max(floor, growth·raw²)` along the ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,14 +38,6 @@ impl Reach {
         // rounding of the rebuilt depth to single precision must not break the bound
         let reach = self.at(raw) - ROUNDING * raw;
         (error * error * q <= reach * reach) & (reach > 0.0)
-    }
-
-    /// Step of the residual on a ray of squared length `q`, depth integers: a residual of whole
-    /// steps ends within the floor.
-    #[inline(always)]
-    #[must_use]
-    pub fn step(&self, q: f32) -> i32 {
-        ((2.0 * SAFE * self.floor / q.sqrt()) as i32).max(1)
     }
 
     /// The largest distance along the ray, in depth integers, at which `raw` still touches.

@@ -152,6 +152,20 @@ impl CloudSphere {
         }
     }
 
+    /// The sphere a `share` of the way from this one to `other`; both pass by `near`, where their
+    /// normals tell which sides belong together. `None` where nothing lies between them.
+    #[must_use]
+    pub fn towards(&self, other: &Self, near: DVec3, share: f64) -> Option<Self> {
+        let gradient = |s: &Self| s.curvature * near + s.normal;
+        let same_side = gradient(self).dot(gradient(other)) >= 0.0;
+        let (a, b) = (1.0 - share, if same_side { share } else { -share });
+        Self::normalised(
+            a * self.curvature + b * other.curvature,
+            a * self.normal + b * other.normal,
+            a * self.offset + b * other.offset,
+        )
+    }
+
     /// F(p): the signed distance from the surface to first order.
     #[inline]
     #[must_use]

@@ -1,7 +1,11 @@
 //! Which points each sphere covers, and the spheres that the others make superfluous.
 
 use super::cloud::{CloudSphere, UNASSIGNED};
+use super::point_moments::PointMoments;
 use super::remaining::Remaining;
+
+/// Shares of the way to the least-squares fit that are tried.
+const SETTLE: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// Spheres over a fixed set of points. A point may be covered by several.
 #[derive(Clone, Debug, Default)]
@@ -160,6 +164,37 @@ impl Cover {
     pub fn forget(&mut self, s: usize) {
         self.spheres.remove(s);
         self.members.remove(s);
+    }
+
+    /// Moves each sphere towards the least-squares fit of its members, as far as it keeps the
+    /// points that only it covers: what was bent for more contacts need not lie at the rim of
+    /// the contact band.
+    pub fn settle(&mut self, points: &Remaining) {
+        let mut alone = Remaining::default();
+        let mut own = Vec::new();
+        for s in 0..self.spheres.len() {
+            let mut moments = PointMoments::default();
+            for &i in &self.members[s] {
+                moments.add(points.at(i as usize));
+            }
+            let Some(fit) = moments.fit() else { continue };
+            self.own(s, &mut own);
+            alone.pick(points, &own);
+            let before = self.spheres[s];
+            let settled = SETTLE
+                .iter()
+                .filter_map(|&share| {
+                    before.towards(
+                        &fit.sphere,
+                        points.at(own.first().map_or(0, |&i| i as usize)),
+                        share,
+                    )
+                })
+                .find(|sphere| points.resolves(sphere) && alone.touching(sphere) == own.len());
+            if let Some(sphere) = settled {
+                self.replace(s, sphere, points, &mut Vec::new());
+            }
+        }
     }
 
     /// Gives every covered point to the nearest of its spheres: `assignment[id]`, by number in

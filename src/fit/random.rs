@@ -62,6 +62,7 @@ impl RandomFit {
                 (&mut self.search, &mut draw),
             );
         }
+        cover.settle(&self.all);
         cover.assign(&self.all, &mut model.assignment);
         model.spheres = cover.spheres;
         model.order_and_limit(parameters.max_spheres);

@@ -196,7 +196,7 @@ impl SphereSearch {
         best
     }
 
-    /// Shifts, tilts and bends the sphere at random; what does not lose contacts stays. Steps
+    /// Shifts, tilts and bends the sphere at random; what gains contacts stays. Steps
     /// grow with success and shrink without (Rechenberg's rule for a (1+1) evolution strategy).
     fn bent(&mut self, start: Scored, bends: usize, draw: &mut Draw) -> Scored {
         self.places.clear();
@@ -226,10 +226,9 @@ impl SphereSearch {
                 continue;
             }
             let score = near.touching(&sphere);
-            if score >= best.score {
-                if score > best.score {
-                    step *= LONGER;
-                }
+            // more, not as many: a plateau is no reason to leave the least-squares fit
+            if score > best.score {
+                step *= LONGER;
                 best = Scored { score, sphere };
             } else {
                 step *= SHORTER;

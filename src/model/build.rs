@@ -96,8 +96,16 @@ fn two_digits(length_m: f64) -> f64 {
 /// # Errors
 /// [`Unfit`] says why not.
 pub fn check(points: &LocalPoints, contact_m: f64) -> Result<(), Unfit> {
-    let mut sums = PointMoments::default();
     let extent_m = extent_m(points).max_element();
+    let resolved_m = extent_m * RESOLVED;
+    if resolved_m > contact_m {
+        return Err(Unfit::TooWide {
+            extent_m,
+            resolved_m,
+            contact_m,
+        });
+    }
+    let mut sums = PointMoments::default();
     // scaled to the unit cube: fourth powers of large extents leave the range of f64
     let scale = 1.0 / extent_m.max(f64::MIN_POSITIVE);
     for i in 0..points.len() {
@@ -106,14 +114,6 @@ pub fn check(points: &LocalPoints, contact_m: f64) -> Result<(), Unfit> {
     if sums.fit().is_none() {
         let points = points.len();
         return Err(Unfit::NoSurface { points });
-    }
-    let resolved_m = extent_m * RESOLVED;
-    if resolved_m > contact_m {
-        return Err(Unfit::TooWide {
-            extent_m,
-            resolved_m,
-            contact_m,
-        });
     }
     Ok(())
 }

@@ -41,6 +41,9 @@ pub struct Report {
     pub drops: Drops,
     /// Frames whose refinement was cut short by the budget.
     pub degraded: u64,
+    /// Level of quality: the share of the frames that were modelled in full, 0 to 1; 1 where there
+    /// were none.
+    pub quality: f64,
     /// Frames written later than the budget allows.
     pub late: u64,
     /// Mean number of measured points.
@@ -73,7 +76,7 @@ impl Report {
 capture_p50_ms,wait_p50_ms,model_p50_ms,model_p99_ms,encode_p50_ms,encode_p99_ms,sink_p50_ms,\
 drop_sensor_gap,drop_damaged,drop_stall,drop_queue,drop_budget,drop_sink,drop_failed,degraded,late,\
 points_per_frame,spheres_per_frame,coverage,warm,lost_points,residual_mean_mm,residual_p95_mm,residual_p99_mm,residual_max_mm,\
-bytes,bits_per_valid_px,mbit_per_s,color_frames,color_dropped";
+bytes,bits_per_valid_px,mbit_per_s,color_frames,color_dropped,quality";
 
     /// The report as one line of comma separated values.
     #[must_use]
@@ -128,6 +131,7 @@ bytes,bits_per_valid_px,mbit_per_s,color_frames,color_dropped";
         fields.push(format!("{:.4}", self.mbit_per_s));
         fields.push(self.color_frames.to_string());
         fields.push(self.color_dropped.to_string());
+        fields.push(format!("{:.5}", self.quality));
         fields.join(",")
     }
 }

@@ -203,6 +203,7 @@ impl Totals {
             },
             drops: self.drops(),
             degraded: self.degraded,
+            quality: 1.0 - per(self.degraded as f64, frames),
             late: self.late,
             points_per_frame: per(points, frames),
             spheres_per_frame: per(self.spheres as f64, frames),

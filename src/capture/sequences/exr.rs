@@ -131,12 +131,14 @@ pub fn read_exr_depth(
 /// `invalidCodes`. An existing file is replaced: ask before.
 ///
 /// # Errors
-/// [`CaptureError::Input`] when the frame is not of the camera's size or the file cannot be written.
+/// [`CaptureError::Usage`] when the frame is not of the camera's size, [`CaptureError::Input`]
+/// when the file cannot be written.
 pub fn write_exr_depth(
     path: &Path,
     camera: &Camera,
     frame: &DepthFrame,
 ) -> Result<(), CaptureError> {
+    check_size(camera, frame.depth.len()).map_err(|what| wrong_size(path, &what))?;
     let file = encode_exr_depth(camera, frame).map_err(|what| unwritable(path, what))?;
     std::fs::write(path, file).map_err(|error| unwritable(path, error.to_string()))
 }
@@ -173,9 +175,24 @@ pub fn write_exr_metres(
         invalid: None,
         ..ExrAttributes::of_frame(camera, sequence, time)
     };
+    check_size(camera, depth_m.len()).map_err(|what| wrong_size(path, &what))?;
     let file = encode(camera, depth_m.to_vec(), &attributes);
     let file = file.map_err(|what| unwritable(path, what))?;
     std::fs::write(path, file).map_err(|error| unwritable(path, error.to_string()))
+}
+
+fn check_size(camera: &Camera, pixels: usize) -> Result<(), String> {
+    if pixels == camera.pixels() && pixels > 0 {
+        return Ok(());
+    }
+    let (width, height) = (camera.width, camera.height);
+    Err(format!(
+        "a frame of {pixels} pixels for a camera of {width}x{height}"
+    ))
+}
+
+fn wrong_size(path: &Path, what: &str) -> CaptureError {
+    CaptureError::Usage(format!("{}: {what}", path.display()))
 }
 
 fn unwritable(path: &Path, what: String) -> CaptureError {
@@ -187,14 +204,7 @@ fn encode(
     values: Vec<f32>,
     attributes: &ExrAttributes,
 ) -> Result<Vec<u8>, String> {
-    if values.len() != camera.pixels() || values.is_empty() {
-        return Err(format!(
-            "a frame of {} pixels for a camera of {}x{}",
-            values.len(),
-            camera.width,
-            camera.height
-        ));
-    }
+    check_size(camera, values.len())?;
     let mut layer_attributes = LayerAttributes::default();
     attributes.write(&mut layer_attributes);
     let encoding = Encoding {

@@ -4,7 +4,7 @@
 //! scene (surfaces, pose at frame k) -> render (inverse depth, f64) -> noise (sensor) -> u16
 //! ```
 //! Frame `k` is a pure function of the options and `k`: any frame can be made without the ones
-//! before it, in any order, with the same bytes. Paced, it behaves as a driver with two buffers
+//! before it, in any order, with the same bytes. Paced, it behaves as a driver with six buffers
 //! in front of a camera that does not wait; unpaced, frames come as fast as they are
 //! asked for. A frame is rendered while the reader waits for it, so its age starts near zero (a
 //! real camera adds its exposure and its transfer).

@@ -1,10 +1,10 @@
 //! A camera that does not wait, as a pure function of the clock.
 //!
-//! It imitates a driver with two buffers: a finished frame takes a free buffer or is lost; a
+//! It imitates a driver with six buffers: a finished frame takes a free buffer or is lost; a
 //! reader gets the oldest one. Sequence numbers count lost frames too, so a late reader sees gaps.
 
 /// Buffers of the imitated driver.
-const BUFFERS: usize = 2;
+const BUFFERS: usize = 6;
 /// Length of a stall, and of an unplug, nanoseconds.
 pub(super) const PAUSE_NS: i64 = 1_000_000_000;
 
@@ -114,12 +114,13 @@ mod tests {
     }
 
     #[test]
-    fn a_late_reader_gets_the_two_oldest_and_then_a_gap() {
+    fn a_late_reader_gets_the_six_oldest_and_then_a_gap() {
         let mut driver = Driver::new(Schedule::new(100.0, [0, 0]));
         assert_eq!(driver.turn(0), Turn::Ready(0));
-        // frames 1 and 2 fill the buffers, 3 to 9 find none
-        assert_eq!(driver.turn(95 * MS), Turn::Ready(1));
-        assert_eq!(driver.turn(96 * MS), Turn::Ready(2));
+        // frames 1 to 6 fill the buffers, 7 to 9 find none
+        for number in 1..=6 {
+            assert_eq!(driver.turn(95 * MS), Turn::Ready(number));
+        }
         assert_eq!(driver.turn(97 * MS), Turn::Due(10, 100 * MS));
         assert_eq!(driver.turn(101 * MS), Turn::Ready(10));
     }
