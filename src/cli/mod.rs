@@ -12,6 +12,7 @@ mod info;
 mod machine;
 mod message;
 mod model;
+mod model_file;
 mod play;
 mod report;
 mod run;
