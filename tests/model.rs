@@ -148,18 +148,27 @@ fn a_scene_of_two_objects_is_modelled_told_and_exported() {
     );
     assert!(folder.path().join("model.pcd").is_file());
 
-    // what was exported can be modelled again
-    let (again, _) = run(
+    // what was exported can be modelled again, far from zero as it is
+    let pear = folder.path().join("pear.ply");
+    run(
         [
-            "model",
-            text(&points),
-            "--json",
-            "--contact-distance",
-            "2mm",
+            "export",
+            text(&out),
+            "--to",
+            "ply",
+            "--object",
+            "pear",
+            "-o",
+            text(&pear),
         ],
         0,
     );
-    assert_eq!(json(&again)["parts"][0]["spheres"], 2);
+    let again = ["model", text(&pear), "--json", "--contact-distance", "1mm"];
+    let again = json(&run(again, 0).0)["parts"][0].clone();
+    assert_eq!(
+        (&again["spheres"], &again["explained"]),
+        (&1.into(), &1.0.into())
+    );
 
     let exists = ["model", text(&a), "-o", text(&out)];
     refused(&exists, 2, &["scene.mcap", "--overwrite"]);

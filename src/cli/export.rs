@@ -3,7 +3,7 @@
 use super::args::{ExportArg, ExportArgs};
 use super::failure::{Failure, Kind};
 use super::tape::Tape;
-use super::{message, model, signals, status};
+use super::{message, model_file, signals, status};
 use saint_live::capture::CaptureError;
 use saint_live::export::{ExportError, FileSequence, Format, Output, Painter};
 use saint_live::model::file::is_model;
@@ -31,7 +31,7 @@ impl From<ExportError> for Failure {
 /// Writes one file per frame into a folder, or one file where `-o` ends like a file of the format.
 pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
     if is_model(&args.file) {
-        return model::export(args, quiet);
+        return model_file::export(args, quiet);
     }
     if args.scale.is_some() || args.object.is_some() {
         return Err(Failure::usage(format_args!(

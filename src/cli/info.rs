@@ -2,7 +2,7 @@
 
 use super::args::InfoArgs;
 use super::failure::{Failure, Kind};
-use super::{message, model};
+use super::{message, model_file};
 use saint_live::frame::FrameTime;
 use saint_live::model::file::is_model;
 use saint_live::recording::{Account, Info, RecordingError, RecordingReader};
@@ -21,7 +21,7 @@ struct Shown<'a> {
 /// Reads the whole file, so that every damage is known, and says what is in it.
 pub fn run(args: &InfoArgs) -> Result<(), Failure> {
     if is_model(&args.file) {
-        return model::info(&args.file, args.json);
+        return model_file::info(&args.file, args.json);
     }
     let mut reader = RecordingReader::open(&args.file)?;
     reader.verify();

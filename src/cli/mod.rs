@@ -15,6 +15,7 @@ mod keyboard;
 mod machine;
 mod message;
 mod model;
+mod model_file;
 mod play;
 mod record;
 mod repair;
