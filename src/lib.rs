@@ -17,6 +17,9 @@
 //! passes), [`contact_map`], [`codec`] (the payload; `codec/FORMAT.md` is its specification),
 //! [`recording`], and [`pipeline`], which runs all of it in named threads within a latency budget.
 //!
+//! Beside the path: [`features`] and [`loss`] for learning, [`experiment`] with the paper's
+//! measurements.
+//!
 //! # Units and axes
 //! Metres; right-handed optical frame (x right, y down, z forward); depth is planar z, not distance
 //! along the ray; times are int64 nanoseconds. Depth integers become metres in one place,

@@ -34,6 +34,7 @@ fn help_names_the_commands_and_the_exit_codes() {
         "bench",
         "devices",
         "synthesize",
+        "experiment",
         "completions",
         "Exit codes",
     ] {
