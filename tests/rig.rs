@@ -54,7 +54,13 @@ fn two_cameras_of_one_room_make_one_room() {
     let recording = folder.path().join("rig.mcap");
     let camera = "synthetic:room,size=160x120,noise=off,paced=false";
     let side = format!("{camera},at=1.3/-0.2/0.6,yaw=-40");
-    let to = ["-o", text(&recording), "-n", "4", "--max-error", "2mm"];
+    let to = [
+        ["-o", text(&recording)],
+        ["-n", "4"],
+        ["--max-error", "2mm"],
+        ["--contact-distance", "5mm+5e-3z2"],
+    ]
+    .concat();
     let (stats, _) = run(
         [&["-d", camera, "-d", &side, "--stats", "json"], &to[..]].concat(),
         0,
