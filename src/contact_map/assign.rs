@@ -266,3 +266,73 @@ pub fn adopt(
     }
     adopted
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact_map::contact::measured;
+    use crate::fit::contact_distance::ContactDistance;
+    use crate::frame::{Camera, Intrinsics};
+    use glam::DVec3;
+    use proptest::prelude::*;
+
+    const CAMERA: Camera = Camera {
+        width: 8,
+        height: 8,
+        intrinsics: Intrinsics {
+            fx: 80.0,
+            fy: 80.0,
+            cx: 3.5,
+            cy: 3.5,
+        },
+        depth_unit_m: 0.001,
+        invalid: vec![],
+        depth_min_m: 0.0,
+        depth_max_m: 65.0,
+        fps: None,
+        name: String::new(),
+    };
+
+    proptest! {
+        /// Two walls and a ball, holes and noise: every measurement goes to a sphere that it
+        /// touches, once, or is missing.
+        #[test]
+        fn pixels_are_divided_among_spheres_they_touch(
+            edge in 0usize..9, far in 1.0f64..1.5, noise in 0f64..0.03, holes in any::<u64>(), seed in any::<u64>(),
+        ) {
+            let rays = Rays::new(&CAMERA);
+            let wall = |z: f64| Sphere::from_center_radius(DVec3::new(0.0, 0.0, z + 500.0), 500.0);
+            let ball = Sphere::from_center_radius(DVec3::new(0.03, 0.0, 1.0), 0.05);
+            let spheres = [wall(1.0), None, wall(far), ball];
+            let mut random = seed | 1;
+            let mut next = || { random ^= random << 13; random ^= random >> 7; random ^= random << 17; (random >> 40) as f64 / (1u64 << 24) as f64 };
+            let plane: Vec<u16> = (0..64).map(|k| {
+                let z = if k % 8 < edge { 1.0 } else { far };
+                if holes & holes >> 7 & 1 << k != 0 { 0 } else { ((z + (next() - 0.5) * noise) * 1e3) as u16 }
+            }).collect();
+            let valid = measured(&plane, &rays, (0, 0));
+            let distance = ContactDistance::constant(0.01);
+            let contact = Contact::new(&distance, 0.9);
+            let gather = |list: &mut Candidates, around: bool| if around { list.add(2); list.add(3) } else { list.add(0); list.add(1) };
+            let mut out = assign(&plane, &rays, (0, 0), valid, 0, gather, &spheres, &contact);
+            prop_assert_eq!(out.missing & !out.rough, 0);
+            let mut all = Candidates::default();
+            for id in 0..4 { if !out.palette.contains(&id) { all.add(id); } }
+            let before = out.missing.count_ones();
+            let more = adopt(&mut out, &all, |id| spheres[usize::from(id)].map_or(0, |s| contact.pixels(&plane, &rays, (0, 0), &s).touching));
+            prop_assert!(out.missing.count_ones() < before || !more);
+            let mut seen = 0u64;
+            for (&id, &pixels) in out.palette.iter().zip(&out.pixels) {
+                prop_assert_eq!(id == NO_SPHERE, pixels == 0);
+                prop_assert_eq!(seen & pixels, 0);
+                seen |= pixels;
+                for bit in (0..64).filter(|b| pixels >> b & 1 != 0) {
+                    let p = rays.point(bit % 8, bit / 8, f64::from(plane[bit]) * 1e-3);
+                    prop_assert!(spheres[usize::from(id)].unwrap().distance(p) < 0.01 + 1e-5);
+                }
+            }
+            prop_assert_eq!(seen | out.missing, valid);
+            prop_assert_eq!(seen & out.missing, 0);
+        }
+    }
+}

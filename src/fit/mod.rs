@@ -4,6 +4,7 @@ pub mod agglomerate;
 pub mod cloud;
 mod cold;
 pub mod contact_distance;
+mod contacts;
 mod cover;
 mod fewer;
 pub mod framewise;
