@@ -125,7 +125,12 @@ fn a_truncated_png_image() {
     let third = files(&png, "png").remove(3);
     let bytes = fs::read(&third).unwrap();
     fs::write(&third, &bytes[..bytes.len() / 2]).unwrap();
-    breaks_off(&folder, &png, 3, &["000003.png", "frame 3", "give undamaged"]);
+    breaks_off(
+        &folder,
+        &png,
+        3,
+        &["000003.png", "frame 3", "give undamaged"],
+    );
 }
 
 #[test]
