@@ -205,7 +205,7 @@ pub fn synthetic_objects(points: usize, seed: u64) -> Vec<(&'static str, Vec<DVe
         ("box", |u, v| {
             let face = (6.0 * u) as u32;
             let (a, b) = ((6.0 * u).fract() - 0.5, v - 0.5);
-            let side = if face % 2 == 0 { 0.5 } else { -0.5 };
+            let side = if face.is_multiple_of(2) { 0.5 } else { -0.5 };
             let p = match face / 2 {
                 0 => DVec3::new(side, a, b),
                 1 => DVec3::new(a, side, b),
