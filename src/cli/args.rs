@@ -47,6 +47,7 @@ pub struct Arguments {
 
 /// The commands beside live capture.
 #[derive(Debug, Subcommand)]
+#[allow(clippy::large_enum_variant)] // parsed once
 pub enum Command {
     /// List the cameras of this machine.
     Devices(DevicesArgs),
