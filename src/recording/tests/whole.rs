@@ -217,7 +217,6 @@ fn parts_play_alone_and_hold_everything() {
         let options = WriterOptions {
             split: Some(split),
             sync: Sync::Chunk,
-            ..WriterOptions::default()
         };
         let mut writer = RecordingWriter::create(file(&path), &camera(), &options).unwrap();
         for frame in &frames {
