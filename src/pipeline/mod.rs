@@ -20,7 +20,7 @@
 //!
 //! *One thread.* With `threads = 1` the same steps run one after the other in the caller's thread,
 //! and the bytes are the same. A live camera is drained by a thread of its own even then
-//! ([`alone`]): `threads` counts those that compute.
+//! (`alone`): `threads` counts those that compute.
 //!
 //! *Time.* The age of a frame is counted from its device stamp (live), from the moment it was due
 //! (`--realtime`) or from the moment work on it began (replay). [`budget`] decides what a frame
