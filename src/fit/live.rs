@@ -19,7 +19,6 @@ use super::contact_distance::ContactDistance;
 use super::contacts::{View, assign_row, touching};
 use super::moments::{self, Moments};
 use super::motion::Motion;
-use super::sphere::Sphere;
 use super::{cold, warm};
 use crate::contact_map::assign::{self, BlockContacts, Candidates, EMPTY, Palette};
 use crate::contact_map::contact::{Contact, measured};
