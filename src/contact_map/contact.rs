@@ -230,7 +230,7 @@ mod tests {
             let plane: Vec<u16> = (0..rays.padded()).map(|k| {
                 let (u, v) = (rays.u[k % 64], rays.v[k / 64]);
                 let w = sphere.inverse_depth(u, v, u * u + v * v + 1.0);
-                if next() < 0.1 || !(w > 0.0) { 0 } else { ((1.0 / f64::from(w) + (next() - 0.5) * 0.1) * 1e3).clamp(0.0, 65535.0) as u16 }
+                if next() < 0.1 || w.is_nan() || w <= 0.0 { 0 } else { ((1.0 / f64::from(w) + (next() - 0.5) * 0.1) * 1e3).clamp(0.0, 65535.0) as u16 }
             }).collect();
             let measured = measured(&plane, &rays, at);
             let mut found = Contact::new(&distance, share).pixels(&plane, &rays, at, &sphere);
