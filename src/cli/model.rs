@@ -301,12 +301,17 @@ fn map_choice(args: &ModelArgs) -> Result<MapChoice, Failure> {
 pub fn line(scene: &Scene, part: &Part) -> String {
     let info = &part.info;
     let object = &scene.objects[info.object as usize];
+    // scales are searched for: their distance has more digits than anybody reads
+    let distance = match info.contact_distance.parse::<ContactDistance>() {
+        Ok(distance) => format!("{:.4} mm", 1e3 * distance.floor_m),
+        Err(_) => info.contact_distance.clone(),
+    };
     let mut text = format!(
         "{}: {} points -> {} spheres at {}, {:.2} % explained, residual mean {:.4} p99 {:.4} mm, {} bytes ({:.1} % of 3 floats a point)",
         object.name,
         object.points,
         info.spheres,
-        info.contact_distance,
+        distance,
         100.0 * info.explained,
         1e3 * info.residual.mean_m,
         1e3 * info.residual.p99_m,
@@ -321,7 +326,7 @@ pub fn line(scene: &Scene, part: &Part) -> String {
         if map.kind == "merged" {
             format!("{} rows", map.resolution)
         } else {
-            format!("{} mm", 1e3 * map.resolution)
+            format!("{:.4} mm", 1e3 * map.resolution)
         },
         map.cells,
         map.kept(),
