@@ -4,8 +4,10 @@ use super::header::{Header, Stream};
 use super::range_coder::Decoder as RangeDecoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Support};
-use super::state::{BEYOND, MAX_SPHERES, State};
-use super::{CodecError, label_map, mask, residual};
+use super::label_map::AsRead;
+use super::state::State;
+use super::surface::BEYOND;
+use super::{CodecError, residual};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
 use crate::deproject::Rays;
@@ -124,8 +126,8 @@ impl Decoder {
         if !key {
             state.follow(&header.motion);
         }
-        let read = read_sections(state, rays, key, sections).and_then(|()| {
-            state.predict(rays);
+        let read = read_sections(state, rays, reach, key, sections).and_then(|()| {
+            state.rebuild(rays);
             let lossless = stream.tolerance.lossless;
             rebuild(state, rays, key, sections[3], lossless, reach)
         });
@@ -153,13 +155,23 @@ fn overrun(coder: &RangeDecoder<'_>) -> Result<(), CodecError> {
     Ok(())
 }
 
-/// Mask, contact map and spheres.
+/// Contact map by blocks, spheres, contact map by pixels.
 fn read_sections(
     state: &mut State,
     rays: &Rays,
+    reach: &Reach,
     key: bool,
     sections: [&[u8]; 4],
 ) -> Result<(), CodecError> {
+    let mut coder = RangeDecoder::new(sections[0]);
+    state
+        .code_blocks(&mut coder, rays, key, &[])
+        .map_err(|_| CodecError::Corrupt {
+            at: 0,
+            what: "a block names a sphere that does not exist",
+        })?;
+    overrun(&coder)?;
+    let mut coder = RangeDecoder::new(sections[1]);
     let State {
         models,
         now,
@@ -168,42 +180,6 @@ fn read_sections(
         supports,
         ..
     } = state;
-    let past = (!key).then_some(&*before);
-    let mut coder = RangeDecoder::new(sections[0]);
-    mask::code(
-        &mut coder,
-        &mut models.mask,
-        rays,
-        &mut now.mask,
-        past.map(|b| &b.mask),
-    );
-    overrun(&coder)?;
-    let mut coder = RangeDecoder::new(sections[1]);
-    let past_map = past.map(|b| &b.map);
-    label_map::code_palettes(
-        &mut coder,
-        &mut models.labels,
-        rays,
-        &now.mask,
-        &mut now.map,
-        past_map,
-        new,
-        MAX_SPHERES,
-    )
-    .map_err(|_| CodecError::Corrupt {
-        at: 0,
-        what: "a block names a sphere that does not exist",
-    })?;
-    label_map::code_pixels(
-        &mut coder,
-        &mut models.labels,
-        rays,
-        &now.mask,
-        &mut now.map,
-        past_map,
-    );
-    overrun(&coder)?;
-    let mut coder = RangeDecoder::new(sections[2]);
     Support::gather(rays, &now.map, new.bound(), supports);
     now.entries.resize(new.bound(), None);
     let mut last = None;
@@ -221,6 +197,9 @@ fn read_sections(
             ));
         }
     }
+    overrun(&coder)?;
+    let mut coder = RangeDecoder::new(sections[2]);
+    state.code_pixels(&mut coder, rays, reach, key, &[], &mut AsRead);
     overrun(&coder)
 }
 

@@ -5,10 +5,12 @@ use super::mask::extent;
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
-use super::state::{MAX_SPHERES, State, to_integer};
-use super::{CodecError, EncodedFrame, label_map, mask, residual};
+use super::choice::Cheapest;
+use super::state::{MAX_SPHERES, State};
+use super::surface::to_integer;
+use super::{CodecError, EncodedFrame, mask, residual};
 use crate::contact_map::assign::{EMPTY, PALETTE};
-use crate::contact_map::contact::{Reach, measured};
+use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::fit::live::FitOptions;
@@ -37,12 +39,12 @@ pub struct EncodeReport {
     pub kept_spheres: u32,
     /// Bytes of header and checksum, and of each section.
     pub header_bytes: u32,
-    /// Bytes of the mask section.
-    pub mask_bytes: u32,
-    /// Bytes of the label section.
-    pub label_bytes: u32,
+    /// Bytes of the section of blocks: the contact map in the coarse.
+    pub block_bytes: u32,
     /// Bytes of the sphere section.
     pub sphere_bytes: u32,
+    /// Bytes of the section of pixels: mask and contact map in the fine.
+    pub pixel_bytes: u32,
     /// Bytes of the residual section.
     pub residual_bytes: u32,
 }
@@ -57,6 +59,8 @@ pub struct Encoder {
     options: CodecOptions,
     state: State,
     plane: Vec<u16>,
+    /// Measured pixels of each block, and those of them that touch the sphere they got.
+    measured: Vec<u64>,
     hits: Vec<u64>,
     /// Model slot to sphere number, and the surface as the model last gave it.
     numbers: Vec<Option<(u16, Sphere)>>,
@@ -106,6 +110,7 @@ impl Encoder {
             options,
             state: State::with_room(room),
             plane: Vec::new(),
+            measured: Vec::new(),
             hits: Vec::new(),
             numbers: Vec::with_capacity(room),
             slots: Vec::with_capacity(room),
@@ -163,16 +168,18 @@ impl Encoder {
             valid_pixels: self.validity.clean(&self.rays, frame, &mut self.plane) as u32,
             ..Default::default()
         };
-        self.state.now.mask.measure(&self.rays, &self.plane);
+        mask::measure(&self.rays, &self.plane, &mut self.measured);
+        self.hits.clear();
+        self.hits.resize(self.rays.blocks(), 0);
         self.choose_palettes(saint);
         self.number_spheres(key);
         for s in &mut self.sections {
             s.clear();
         }
-        self.code_mask_and_labels(key)?;
+        self.code_blocks(key)?;
         self.code_spheres(saint, &mut report);
-        self.state
-            .predict_and_test(&self.rays, &self.plane, &self.reach, &mut self.hits);
+        self.code_pixels(key);
+        self.state.rebuild(&self.rays);
         self.choose_kinds(&mut report);
         self.code_residuals(key)?;
 
@@ -192,9 +199,9 @@ impl Encoder {
         header.write(&mut out.payload);
         report.header_bytes = out.payload.len() as u32 + 4;
         [
-            report.mask_bytes,
-            report.label_bytes,
+            report.block_bytes,
             report.sphere_bytes,
+            report.pixel_bytes,
             report.residual_bytes,
         ] = header.sections.map(|n| n as u32);
         for s in &self.sections {
@@ -207,75 +214,54 @@ impl Encoder {
         Ok(report)
     }
 
-    /// Palettes and labels (model slots for now). A block takes the four labels with most pixels;
-    /// pixels that touch nothing join the sphere to their left, unless they are many: then the
-    /// block has "no sphere" in its palette and they are predicted from each other.
+    /// Palettes (model slots for now). A block takes the four labels with most pixels; pixels that
+    /// touch nothing join a sphere of theirs, unless they are many: then the block has "no sphere" in
+    /// its palette and they are predicted from each other.
     fn choose_palettes(&mut self, saint: &SaintFrame) {
         let (rays, now) = (&self.rays, &mut self.state.now);
-        for k in 0..rays.blocks() {
-            if now.mask.fills[k] == mask::Fill::Empty {
+        for (k, &measured) in self.measured.iter().enumerate() {
+            now.map.palettes[k] = EMPTY;
+            now.map.sizes[k] = 0;
+            if measured == 0 {
                 continue;
             }
             let (x0, y0, w, h) = extent(rays, k);
             if let Some(label) = single_label(saint, rays, (x0, y0, w, h)) {
-                now.map.palettes[k] = EMPTY;
                 now.map.palettes[k][0] = label;
                 now.map.sizes[k] = 1;
                 continue;
             }
             let mut found: [(u32, u16); 16] = [(0, NO_SPHERE); 16];
             let mut n = 0;
-            for j in 0..h {
-                let row = &saint.labels[(y0 + j) * rays.width + x0..][..w];
-                let start = now.mask.pixels.index(x0, y0 + j);
-                let on = &now.mask.pixels.cells()[start..start + w];
-                for (&label, _) in row.iter().zip(on).filter(|(_, m)| **m != 0) {
-                    let id = if usize::from(label) < saint.spheres.len()
-                        && saint.spheres[usize::from(label)].is_some()
-                    {
-                        label
-                    } else {
-                        NO_SPHERE
-                    };
-                    if let Some(f) = found[..n].iter_mut().find(|f| f.1 == id) {
-                        f.0 += 1;
-                    } else if n < found.len() {
-                        found[n] = (1, id);
-                        n += 1;
-                    }
+            let mut left = measured;
+            while left != 0 {
+                let bit = left.trailing_zeros() as usize;
+                left &= left - 1;
+                let label = saint.labels[(y0 + bit / BLOCK) * rays.width + x0 + bit % BLOCK];
+                let id = match saint.spheres.get(usize::from(label)) {
+                    Some(Some(_)) => label,
+                    _ => NO_SPHERE,
+                };
+                if let Some(f) = found[..n].iter_mut().find(|f| f.1 == id) {
+                    f.0 += 1;
+                } else if n < found.len() {
+                    found[n] = (1, id);
+                    n += 1;
                 }
             }
-            let total: u32 = found[..n].iter().map(|f| f.0).sum();
+            let total = measured.count_ones();
             // few loners are cheaper as residuals of a sphere
             let spheres = found[..n].iter().any(|f| f.1 != NO_SPHERE);
-            let mut entries = found;
-            for f in &mut entries[..n] {
+            for f in &mut found[..n] {
                 if f.1 == NO_SPHERE && spheres && f.0 * 3 < total {
                     f.0 = 0;
                 }
             }
-            entries[..n].sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-            let mut palette = EMPTY;
-            let mut size = 0;
-            for f in entries[..n].iter().take(PALETTE).filter(|f| f.0 > 0) {
-                palette[size] = f.1;
-                size += 1;
-            }
-            now.map.palettes[k] = palette;
-            now.map.sizes[k] = size as u8;
-            if size == 1 {
-                continue; // code_pixels fills the block
-            }
-            for j in 0..h {
-                let start = now.map.pixels.index(x0, y0 + j);
-                for i in 0..w {
-                    let label = saint.labels[(y0 + j) * rays.width + x0 + i];
-                    let left = now.map.pixels.cells()[start + i - 1];
-                    let pick = [label, left]
-                        .into_iter()
-                        .find(|id| palette[..size].contains(id));
-                    now.map.pixels.cells_mut()[start + i] = pick.unwrap_or(palette[0]);
-                }
+            found[..n].sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+            for f in found[..n].iter().take(PALETTE).filter(|f| f.0 > 0) {
+                let size = &mut now.map.sizes[k];
+                now.map.palettes[k][usize::from(*size)] = f.1;
+                *size += 1;
             }
         }
     }
@@ -312,69 +298,32 @@ impl Encoder {
                 self.slots[usize::from(number)] = slot;
                 *entry = number;
             }
-            if size > 1 {
-                let (x0, y0, w, h) = extent(&self.rays, k);
-                for j in 0..h {
-                    let start = now.map.pixels.index(x0, y0 + j);
-                    for label in &mut now.map.pixels.cells_mut()[start..start + w] {
-                        if let Some(Some((n, _))) = self.numbers.get(usize::from(*label)) {
-                            *label = *n;
-                        }
-                    }
-                }
-            }
         }
         // the coder gives the numbers away a second time
         new.start_over();
     }
 
-    fn code_mask_and_labels(&mut self, key: bool) -> Result<(), CodecError> {
-        let State {
-            models,
-            now,
-            before,
-            new,
-            ..
-        } = &mut self.state;
-        let (rays, before) = (&self.rays, (!key).then_some(&*before));
-        let [mask_bytes, label_bytes, ..] = &mut self.sections;
-        let mut coder = RangeEncoder::new(mask_bytes);
-        mask::code(
-            &mut coder,
-            &mut models.mask,
-            rays,
-            &mut now.mask,
-            before.map(|b| &b.mask),
-        );
-        coder.finish();
-        let mut coder = RangeEncoder::new(label_bytes);
-        let past = before.map(|b| &b.map);
-        label_map::code_palettes(
-            &mut coder,
-            &mut models.labels,
-            rays,
-            &now.mask,
-            &mut now.map,
-            past,
-            new,
-            MAX_SPHERES,
-        )
-        .map_err(|e| {
-            CodecError::Limit(format!(
-                "{} spheres in one frame (at most {MAX_SPHERES})",
-                e.0
-            ))
-        })?;
-        label_map::code_pixels(
-            &mut coder,
-            &mut models.labels,
-            rays,
-            &now.mask,
-            &mut now.map,
-            past,
-        );
+    fn code_blocks(&mut self, key: bool) -> Result<(), CodecError> {
+        let mut coder = RangeEncoder::new(&mut self.sections[0]);
+        self.state
+            .code_blocks(&mut coder, &self.rays, key, &self.measured)
+            .map_err(|e| {
+                CodecError::Limit(format!(
+                    "{} spheres in one frame (at most {MAX_SPHERES})",
+                    e.0
+                ))
+            })?;
         coder.finish();
         Ok(())
+    }
+
+    fn code_pixels(&mut self, key: bool) {
+        let mut coder = RangeEncoder::new(&mut self.sections[2]);
+        let (rays, reach, measured) = (&self.rays, &self.reach, &self.measured);
+        let mut choice = Cheapest::new(rays, &self.plane, reach, measured, &mut self.hits);
+        self.state
+            .code_pixels(&mut coder, rays, reach, key, measured, &mut choice);
+        coder.finish();
     }
 
     fn code_spheres(&mut self, saint: &SaintFrame, report: &mut EncodeReport) {
@@ -388,7 +337,7 @@ impl Encoder {
         } = &mut self.state;
         Support::gather(&self.rays, &now.map, new.bound(), supports);
         now.entries.resize(new.bound(), None);
-        let mut coder = RangeEncoder::new(&mut self.sections[2]);
+        let mut coder = RangeEncoder::new(&mut self.sections[1]);
         let mut last = None;
         for (number, support) in supports.iter().enumerate() {
             let past: Option<Entry> = before.entries.get(number).copied().flatten();
@@ -445,8 +394,7 @@ impl Encoder {
             if size == 0 {
                 continue;
             }
-            let at = (k % self.rays.block_columns, k / self.rays.block_columns);
-            let all = measured(&self.plane, &self.rays, at);
+            let all = self.measured[k];
             let missed = (all & !self.hits[k]).count_ones();
             *kind = if missed == 0 {
                 Kind::Smooth

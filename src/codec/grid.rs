@@ -35,6 +35,15 @@ impl<T: Copy> Plane<T> {
         }
     }
 
+    /// Writes the pixels of the block that starts at (x, y), row by row.
+    #[inline(always)]
+    pub fn write_block(&mut self, x: usize, y: usize, values: &[T; BLOCK * BLOCK]) {
+        for (j, row) in values.chunks_exact(BLOCK).enumerate() {
+            let start = self.index(x, y + j);
+            self.cells[start..start + BLOCK].copy_from_slice(row);
+        }
+    }
+
     /// Index of pixel (x, y); neighbours are at ±1 and ±`stride()`.
     #[inline(always)]
     #[must_use]

@@ -8,7 +8,7 @@ use crate::frame::{Camera, FrameTime, Intrinsics};
 /// First two bytes of a payload.
 pub const MAGIC: [u8; 2] = *b"SL";
 /// Version of the format this library writes and reads.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Most pixels of a frame: a little over 3840×2160.
 pub const MAX_PIXELS: u64 = 1 << 23;
 /// Largest side of a frame, pixels.

@@ -1,38 +1,52 @@
-//! Section *labels*: the contact map.
+//! Which sphere each pixel touches: the contact map inside blocks of more than one sphere.
 //!
-//! Each block has a palette of one to four spheres, most of them repeated from the blocks around
-//! or from the last frame and coded as "the n-th candidate". The pixels of blocks with more than
-//! one sphere follow in raster order, each as "this palette entry or a later one" under the labels
-//! of four decoded neighbours and the last frame's.
+//! Coarse to fine, so that the map is only as fine as it must be (the paper's map resolution, by
+//! place): a quad is given to one sphere, or its pixels are. What predicts a label: decoded
+//! neighbours, the last frame, and the spheres themselves, which are known by now: where two of
+//! them cross, the map changes from one to the other.
 
 use super::grid::Plane;
-use super::mask::{Fill, Mask, extent};
+use super::mask::{Mask, QUAD, QUADS, extent, quad_pixels};
+use super::mixer::{self, CONTEXTS, Estimate, Weights};
 use super::range_coder::{Bit, Coder};
+use super::surface::{self, Depths};
 use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
+use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
 
-/// Most candidates a palette entry is looked for among.
-const LIST: usize = 16;
+/// Contexts of a pixel's label, each for any palette entry but the last.
+const CELLS: [usize; CONTEXTS] = [243, 324, 243];
+const NODES: usize = PALETTE - 1;
 
-/// Learnt models of the section.
+/// Learnt models of the labels of quads and pixels.
 #[derive(Clone, Debug)]
 pub struct Models {
-    more: [Bit; 3 * 16],
-    candidate: [Bit; 8 * 2 * 8],
-    none: [Bit; 2],
-    new: [Bit; 2],
-    pixel: [Bit; 3 * 243],
+    split: [Bit; 5 * 4 * 2 * 3 * NODES],
+    whole: [Bit; 243 * NODES],
+    pixel: [Vec<Estimate>; CONTEXTS],
+    weights: [Weights; 9 * NODES],
+}
+
+impl Models {
+    /// Back to the start: a key frame begins.
+    pub fn reset(&mut self) {
+        self.split.fill(Bit::default());
+        self.whole.fill(Bit::default());
+        self.weights.fill(Weights::default());
+        for p in &mut self.pixel {
+            p.fill(Estimate::default());
+        }
+    }
 }
 
 impl Default for Models {
     fn default() -> Self {
         Self {
-            more: [Bit::default(); 3 * 16],
-            candidate: [Bit::default(); 8 * 2 * 8],
-            none: Default::default(),
-            new: Default::default(),
-            pixel: [Bit::default(); 3 * 243],
+            split: [Bit::default(); 5 * 4 * 2 * 3 * NODES],
+            whole: [Bit::default(); 243 * NODES],
+            pixel: CELLS.map(|n| vec![Estimate::default(); n * NODES]),
+            weights: [Weights::default(); 9 * NODES],
         }
     }
 }
@@ -45,7 +59,10 @@ pub struct LabelMap {
     pub palettes: Vec<Palette>,
     /// Entries in each palette; 0 for an empty block.
     pub sizes: Vec<u8>,
-    /// Label of each measured pixel. Pixels without a measurement hold the label to their left.
+    /// Quads of each block that are divided among spheres, a bit each.
+    pub splits: Vec<u8>,
+    /// Label of each measured pixel. Pixels without a measurement hold a label, too: that of their
+    /// quad, or the one to their left.
     pub pixels: Plane<u16>,
 }
 
@@ -56,275 +73,355 @@ impl LabelMap {
         self.palettes.resize(rays.blocks(), EMPTY);
         self.sizes.clear();
         self.sizes.resize(rays.blocks(), 0);
+        self.splits.clear();
+        self.splits.resize(rays.blocks(), 0);
         self.pixels.cover(rays, NO_SPHERE);
     }
 }
 
-/// Numbers given to spheres that appear for the first time: the lowest not in use.
-#[derive(Clone, Debug, Default)]
-pub struct NewNumbers {
-    taken: Vec<bool>,
-    next: usize,
-    given: usize,
+/// The encoder's choice of labels. Costs are in 1/16 bit; the decoder is asked nothing.
+pub trait Choice {
+    /// A block with the depths of its palette's spheres comes next.
+    fn block(&mut self, k: usize, palette: &[u16], depths: &[Depths; PALETTE]);
+    /// The palette entry for all `pixels` of a quad, or `None` to divide it. `costs`: of each entry;
+    /// `division`: of dividing.
+    fn quad(&mut self, pixels: u64, costs: &[u32], division: u32) -> Option<usize>;
+    /// The palette entry of a pixel (bit `8·row + column`).
+    fn pixel(&mut self, bit: u32, costs: &[u32]) -> usize;
+    /// These pixels of the block got this palette entry.
+    fn given(&mut self, k: usize, pixels: u64, entry: usize);
 }
 
-impl NewNumbers {
-    /// Numbers of which so many are looked after before a table grows.
-    #[must_use]
-    pub fn with_room(spheres: usize) -> Self {
-        Self {
-            taken: Vec::with_capacity(spheres),
-            ..Self::default()
-        }
-    }
+/// No choice: what the bytes say.
+pub struct AsRead;
 
-    /// `taken[n]` is true where number n is a sphere of the reference frame.
-    pub fn reset(&mut self, taken: impl Iterator<Item = bool>) {
-        self.taken.clear();
-        self.taken.extend(taken);
-        self.start_over();
+impl Choice for AsRead {
+    #[inline(always)]
+    fn block(&mut self, _: usize, _: &[u16], _: &[Depths; PALETTE]) {}
+    #[inline(always)]
+    fn quad(&mut self, _: u64, _: &[u32], _: u32) -> Option<usize> {
+        None
     }
-
-    /// Takes back all numbers that were given away.
-    pub fn start_over(&mut self) {
-        self.next = 0;
-        self.given = 0;
+    #[inline(always)]
+    fn pixel(&mut self, _: u32, _: &[u32]) -> usize {
+        0
     }
-
-    /// One more than the highest number in use, in the reference frame or given away since.
-    #[must_use]
-    pub fn bound(&self) -> usize {
-        self.taken.len().max(self.given)
-    }
-
-    /// The number the next new sphere gets.
-    pub fn peek(&mut self) -> usize {
-        while self.taken.get(self.next).copied().unwrap_or(false) {
-            self.next += 1;
-        }
-        self.next
-    }
-
-    /// Gives the number away.
-    pub fn take(&mut self) -> usize {
-        let n = self.peek();
-        self.next += 1;
-        self.given = self.given.max(n + 1);
-        n
-    }
+    #[inline(always)]
+    fn given(&mut self, _: usize, _: u64, _: usize) {}
 }
 
-/// The candidates of one palette entry and how many of (west, north, past) hold each.
-struct List {
-    ids: [u16; LIST],
-    votes: [u8; LIST],
-    len: usize,
-}
-
-impl List {
-    fn add(&mut self, id: u16, vote: u8) {
-        if let Some(k) = self.ids[..self.len].iter().position(|&i| i == id) {
-            self.votes[k] |= vote;
-        } else if self.len < LIST {
-            self.ids[self.len] = id;
-            self.votes[self.len] = vote;
-            self.len += 1;
-        }
-    }
-
-    fn gather(map: &LabelMap, before: Option<&LabelMap>, columns: usize, k: usize) -> Self {
-        let mut list = Self {
-            ids: [NO_SPHERE; LIST],
-            votes: [0; LIST],
-            len: 0,
-        };
-        let mut all = |m: &LabelMap, k: usize, vote: u8| {
-            for &id in &m.palettes[k][..usize::from(m.sizes[k])] {
-                list.add(id, vote);
-            }
-        };
-        if let Some(b) = before {
-            all(b, k, 1);
-        }
-        let (x, blocks) = (k % columns, map.sizes.len());
-        if x > 0 {
-            all(map, k - 1, 2);
-        }
-        if k >= columns {
-            all(map, k - columns, 4);
-            if x + 1 < columns {
-                all(map, k - columns + 1, 0);
-            }
-            if x > 0 {
-                all(map, k - columns - 1, 0);
-            }
-        }
-        if let Some(b) = before {
-            for (there, n) in [
-                (x + 1 < columns, k + 1),
-                (k + columns < blocks, k + columns),
-                (x > 0, k.wrapping_sub(1)),
-                (k >= columns, k.wrapping_sub(columns)),
-            ] {
-                if there {
-                    all(b, n, 0);
-                }
-            }
-        }
-        list
-    }
-}
-
-/// A palette that names a sphere that cannot be: damaged bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NoSuchSphere(pub u32);
-
-/// Codes the palettes. Numbers of new spheres come from `new` (reset to the reference frame's), all
-/// below `limit`.
-///
-/// # Errors
-/// [`NoSuchSphere`] where the bytes name a number beyond `limit` (decoding only).
+/// Codes the labels of all blocks and writes labels and predicted depths of their pixels.
 #[allow(clippy::too_many_arguments)] // one section's whole state
-pub fn code_palettes<C: Coder>(
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt"))]
+pub(super) fn code<C: Coder, W: Choice>(
     coder: &mut C,
     models: &mut Models,
     rays: &Rays,
+    reach: &Reach,
     mask: &Mask,
     map: &mut LabelMap,
     before: Option<&LabelMap>,
-    new: &mut NewNumbers,
-    limit: usize,
-) -> Result<(), NoSuchSphere> {
-    let columns = rays.block_columns;
+    surfaces: &surface::Surfaces<'_>,
+    predicted: &mut Plane<f32>,
+    choice: &mut W,
+) {
+    let mut depths = [surface::NOTHING; PALETTE];
     for k in 0..rays.blocks() {
-        if mask.fills[k] == Fill::Empty {
-            continue;
-        }
-        let west = if k % columns > 0 { map.sizes[k - 1] } else { 1 };
-        let north = if k >= columns {
-            map.sizes[k - columns]
-        } else {
-            1
-        };
-        let past = before.map_or(1, |b| b.sizes[k]);
-        let context = usize::from(west > 1)
-            | usize::from(north > 1) << 1
-            | usize::from(past > 1) << 2
-            | usize::from(mask.fills[k] == Fill::Mixed) << 3;
+        let (x0, y0, ..) = extent(rays, k);
         let size = usize::from(map.sizes[k]);
-        let mut n = 1;
-        while n < PALETTE && coder.bit(&mut models.more[(n - 1) * 16 + context], n < size) {
-            n += 1;
+        let palette = map.palettes[k];
+        // an empty block's palette is all NO_SPHERE
+        if size <= 1 {
+            map.pixels.fill_block(x0, y0, palette[0]);
         }
-        map.sizes[k] = n as u8;
-        let list = List::gather(map, before, columns, k);
-        let mut tried = [false; LIST];
-        for entry in 0..n {
-            let id = map.palettes[k][entry];
-            let mut found = None;
-            let mut rank = 0usize;
-            for c in 0..list.len {
-                if tried[c] {
-                    continue;
-                }
-                let model = &mut models.candidate
-                    [(rank.min(7) * 2 + usize::from(entry > 0)) * 8 + usize::from(list.votes[c])];
-                if coder.bit(model, list.ids[c] == id) {
-                    found = Some(c);
-                    break;
-                }
-                rank += 1;
-            }
-            let first = usize::from(entry > 0);
-            map.palettes[k][entry] = if let Some(c) = found {
-                tried[c] = true;
-                list.ids[c]
-            } else if coder.bit(&mut models.none[first], id == NO_SPHERE) {
-                NO_SPHERE
-            } else if new.bound() == 0
-                || coder.bit(&mut models.new[first], usize::from(id) == new.peek())
-            {
-                let number = new.take();
-                if number >= limit {
-                    return Err(NoSuchSphere(number as u32));
-                }
-                number as u16
-            } else {
-                let bound = new.bound();
-                let width = usize::BITS - (bound - 1).leading_zeros();
-                let number = coder.plain(width, u32::from(id));
-                if number as usize >= bound {
-                    return Err(NoSuchSphere(number));
-                }
-                number as u16
+        for (depths, &id) in depths.iter_mut().zip(&palette[..size]) {
+            surfaces.depths(rays, k, id, depths);
+        }
+        if size > 0 {
+            choice.block(k, &palette[..size], &depths);
+        }
+        let on = if size > 1 { mask.block(rays, k) } else { 0 };
+        if size == 1 {
+            choice.given(k, u64::MAX, 0);
+            predicted.write_block(x0, y0, &depths[0]);
+        } else if size > 1 {
+            let crossing = Crossing::of(&depths, &palette, size, reach);
+            let mut block = Block {
+                k,
+                palette,
+                size,
+                on,
+                crossing: &crossing,
+                start: map.pixels.index(x0, y0),
+                before: before.map(|b| (b.pixels.cells(), b.splits[k])),
+                map,
             };
+            let mut entries = [0u8; BLOCK * BLOCK];
+            for q in 0..QUADS {
+                block.code_quad(coder, models, q, choice, &mut entries);
+            }
+            let mut chosen = surface::NOTHING;
+            for (i, d) in chosen.iter_mut().enumerate() {
+                *d = depths[usize::from(entries[i] & 3)][i];
+            }
+            predicted.write_block(x0, y0, &chosen);
         }
     }
-    Ok(())
 }
 
-/// Codes the label of each measured pixel.
-pub fn code_pixels<C: Coder>(
-    coder: &mut C,
-    models: &mut Models,
-    rays: &Rays,
-    mask: &Mask,
-    map: &mut LabelMap,
-    before: Option<&LabelMap>,
-) {
-    let columns = rays.block_columns;
-    for k in 0..rays.blocks() {
-        if map.sizes[k] <= 1 {
-            let (x0, y0, ..) = extent(rays, k);
-            // an empty block's palette is all NO_SPHERE
-            map.pixels.fill_block(x0, y0, map.palettes[k][0]);
-        }
-    }
-    let stride = map.pixels.stride();
-    for y in 0..rays.block_rows * BLOCK {
-        for bx in 0..columns {
-            let k = y / BLOCK * columns + bx;
-            let size = usize::from(map.sizes[k]);
-            if size < 2 {
+/// How the spheres of a palette lie to each other: of each entry and the next one (bit `8·row +
+/// column`).
+struct Crossing {
+    /// The entry is in front of the next one.
+    front: [u64; NODES],
+    /// They are within reach of each other.
+    close: [u64; NODES],
+}
+
+impl Crossing {
+    #[inline(always)]
+    fn of(depths: &[Depths; PALETTE], palette: &Palette, size: usize, reach: &Reach) -> Self {
+        let mut crossing = Self {
+            front: [0; NODES],
+            close: [0; NODES],
+        };
+        for e in 0..size - 1 {
+            if palette[e] == NO_SPHERE || palette[e + 1] == NO_SPHERE {
                 continue;
             }
-            let palette = map.palettes[k];
-            let start = map.pixels.index(bx * BLOCK, y);
-            for i in start..start + BLOCK {
-                let cells = map.pixels.cells();
-                if mask.pixels.cells()[i] == 0 {
-                    let left = cells[i - 1];
-                    map.pixels.cells_mut()[i] = left;
-                    continue;
-                }
-                let value = cells[i];
-                let near = [
-                    cells[i - 1],
-                    cells[i - stride],
-                    cells[i - stride - 1],
-                    cells[i - stride + 1],
-                    before.map_or(NO_SPHERE, |b| b.pixels.cells()[i]),
-                ];
-                let mut entry = 0;
-                while entry + 1 < size {
-                    let this = palette[entry];
-                    let context = near.iter().fold(0usize, |c, &n| {
-                        c * 3
-                            + if n == this {
-                                0
-                            } else if palette[entry + 1..size].contains(&n) {
-                                1
-                            } else {
-                                2
-                            }
-                    });
-                    if coder.bit(&mut models.pixel[entry * 243 + context], value == this) {
-                        break;
-                    }
-                    entry += 1;
-                }
-                map.pixels.cells_mut()[i] = palette[entry];
+            let (a, b) = (&depths[e], &depths[e + 1]);
+            let (mut front, mut close) = ([0u8; BLOCK * BLOCK], [0u8; BLOCK * BLOCK]);
+            for i in 0..BLOCK * BLOCK {
+                front[i] = u8::from(a[i] < b[i]);
+                close[i] = u8::from((a[i] - b[i]).abs() <= reach.at(a[i]));
             }
+            crossing.front[e] = surface::packed(&front);
+            crossing.close[e] = surface::packed(&close);
         }
+        crossing
+    }
+}
+
+/// One block of several spheres in the making.
+struct Block<'a> {
+    k: usize,
+    palette: Palette,
+    size: usize,
+    on: u64,
+    crossing: &'a Crossing,
+    start: usize,
+    before: Option<(&'a [u16], u8)>,
+    map: &'a mut LabelMap,
+}
+
+impl Block<'_> {
+    /// 0 where the label is entry `e`, 1 where it is a later one, else 2.
+    #[inline(always)]
+    fn class(&self, e: usize, label: u16) -> usize {
+        if label == self.palette[e] {
+            0
+        } else if self.palette[e + 1..self.size].contains(&label) {
+            1
+        } else {
+            2
+        }
+    }
+
+    #[inline(always)]
+    fn code_quad<C: Coder, W: Choice>(
+        &mut self,
+        coder: &mut C,
+        models: &mut Models,
+        q: usize,
+        choice: &mut W,
+        entries: &mut [u8; BLOCK * BLOCK],
+    ) {
+        let pixels = quad_pixels(q);
+        let on = self.on & pixels;
+        let stride = self.map.pixels.stride();
+        let first = self.start + q % 2 * QUAD + q / 2 * QUAD * stride;
+        let cells = self.map.pixels.cells();
+        if on == 0 {
+            // nobody asks, but neighbours look
+            let label = cells[first - 1];
+            self.fill(first, label);
+            return;
+        }
+        // the labels of the quad as a whole look like its upper left middle
+        let past = self.before.map(|(b, _)| b[first + 1 + stride]);
+        let near = [
+            cells[first - 1 + stride],
+            cells[first + 1 - stride],
+            cells[first - 1 - stride],
+            if q == 3 { cells[first + 3 - stride] } else { cells[first + 4 - stride] },
+            past.unwrap_or(NO_SPHERE),
+        ];
+        let mut nodes = [0usize; NODES];
+        for e in 0..self.size - 1 {
+            nodes[e] = e * 243 + near.iter().fold(0, |c, &n| c * 3 + self.class(e, n));
+        }
+        let split = &mut models.split[self.split_context(q, first)];
+        let mut want = None;
+        if C::WRITES {
+            let mut costs = [0u32; PALETTE];
+            let mut far = split.cost(false);
+            for e in 0..self.size {
+                costs[e] = far;
+                if e + 1 < self.size {
+                    costs[e] += models.whole[nodes[e]].cost(true);
+                    far += models.whole[nodes[e]].cost(false);
+                }
+            }
+            want = choice.quad(on, &costs[..self.size], split.cost(true));
+        }
+        if coder.bit(split, want.is_none()) {
+            self.map.splits[self.k] |= 1 << q;
+            for j in 0..QUAD {
+                for i in 0..QUAD {
+                    let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD + i;
+                    let at = first + j * stride + i;
+                    if on >> bit & 1 == 0 {
+                        let left = self.map.pixels.cells()[at - 1];
+                        self.map.pixels.cells_mut()[at] = left;
+                    } else {
+                        let entry = self.code_pixel(coder, models, (q, j, i), at, choice);
+                        self.map.pixels.cells_mut()[at] = self.palette[entry];
+                        entries[bit] = entry as u8;
+                        choice.given(self.k, 1 << bit, entry);
+                    }
+                }
+            }
+        } else {
+            let mut entry = 0;
+            while entry + 1 < self.size
+                && !coder.bit(&mut models.whole[nodes[entry]], want == Some(entry))
+            {
+                entry += 1;
+            }
+            self.fill(first, self.palette[entry]);
+            for j in 0..QUAD {
+                let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD;
+                entries[bit..bit + QUAD].fill(entry as u8);
+            }
+            choice.given(self.k, pixels, entry);
+        }
+    }
+
+    #[inline(always)]
+    fn fill(&mut self, first: usize, label: u16) {
+        let stride = self.map.pixels.stride();
+        for j in 0..QUAD {
+            let start = first + j * stride;
+            self.map.pixels.cells_mut()[start..start + QUAD].fill(label);
+        }
+    }
+
+    /// Do the labels around the quad agree, was it divided in the last frame, and do the first two
+    /// spheres cross in it?
+    #[inline(always)]
+    fn split_context(&self, q: usize, first: usize) -> usize {
+        let stride = self.map.pixels.stride();
+        let cells = self.map.pixels.cells();
+        let (w, n) = (cells[first - 1], cells[first - stride]);
+        let west = (1..QUAD).all(|j| cells[first - 1 + j * stride] == w);
+        let north = cells[first - stride..][..QUAD].iter().all(|&l| l == n);
+        let agree = match (west, north) {
+            (true, true) if w != n => 1,
+            (true, true) if self.palette[..self.size].contains(&w) => 0,
+            (true, true) => 4,
+            (false, false) => 3,
+            _ => 2,
+        };
+        let past = self
+            .before
+            .map_or(3, |(_, splits)| usize::from(splits >> q & 1) + usize::from(splits != 0));
+        let pixels = quad_pixels(q);
+        let front = self.crossing.front[0] & pixels;
+        let crossed = usize::from(front != 0 && front != pixels);
+        let close = match self.crossing.close[0] & pixels {
+            0 => 0,
+            all if all == pixels => 2,
+            _ => 1,
+        };
+        (((agree * 4 + past) * 2 + crossed) * 3 + close) * NODES + self.size - 2
+    }
+
+    #[inline(always)]
+    fn code_pixel<C: Coder, W: Choice>(
+        &self,
+        coder: &mut C,
+        models: &mut Models,
+        (q, j, i): (usize, usize, usize),
+        at: usize,
+        choice: &mut W,
+    ) -> usize {
+        let stride = self.map.pixels.stride();
+        let cells = self.map.pixels.cells();
+        let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD + i;
+        let (w, n, nw) = (cells[at - 1], cells[at - stride], cells[at - stride - 1]);
+        // the north-east is not decoded where it lies in a later quad
+        let there = i + 1 < QUAD || (j == 0 && q < 3);
+        let ne = if there { cells[at - stride + 1] } else { n };
+        let past = self.before.map(|(b, _)| [b[at], b[at + 1], b[at + stride]]);
+        let mut contexts = [[0usize; CONTEXTS]; NODES];
+        let mut sets = [0usize; NODES];
+        for e in 0..self.size - 1 {
+            let (cw, cn) = (self.class(e, w), self.class(e, n));
+            let around = ((cw * 3 + cn) * 3 + self.class(e, nw)) * 3 + self.class(e, ne);
+            let [here, east, south] = past.map_or([2; 3], |p| p.map(|l| self.class(e, l)));
+            let geometry = ((self.cross(e, bit, 1) * 3 + self.cross(e, bit, BLOCK)) * 2
+                + (self.crossing.front[e] >> bit & 1) as usize)
+                * 2
+                + (self.crossing.close[e] >> bit & 1) as usize;
+            contexts[e] = [
+                e * CELLS[0] + around * 3 + here,
+                e * CELLS[1] + (geometry * 3 + cw) * 3 + cn,
+                e * CELLS[2] + (((here * 3 + east) * 3 + south) * 3 + cw) * 3 + cn,
+            ];
+            sets[e] = e * 9 + cw * 3 + cn;
+        }
+        let [a, b, c] = &mut models.pixel;
+        let mut want = 0;
+        if C::WRITES {
+            let mut costs = [0u32; PALETTE];
+            let mut far = 0;
+            for e in 0..self.size {
+                costs[e] = far;
+                if e + 1 < self.size {
+                    let at = contexts[e];
+                    let p = mixer::chance([&a[at[0]], &b[at[1]], &c[at[2]]], &models.weights[sets[e]]);
+                    costs[e] += super::range_coder::cost(p, true);
+                    far += super::range_coder::cost(p, false);
+                }
+            }
+            want = choice.pixel(bit as u32, &costs[..self.size]);
+        }
+        let mut entry = 0;
+        while entry + 1 < self.size {
+            let at = contexts[entry];
+            if mixer::code(
+                coder,
+                [&mut a[at[0]], &mut b[at[1]], &mut c[at[2]]],
+                &mut models.weights[sets[entry]],
+                want == entry,
+            ) {
+                break;
+            }
+            entry += 1;
+        }
+        entry
+    }
+
+    /// 1 where entry `e` and the next one cross on the way from the pixel `back` bits before, 0 where
+    /// not, 2 where that lies outside the block.
+    #[inline(always)]
+    fn cross(&self, e: usize, bit: usize, back: usize) -> usize {
+        let edge = if back == 1 { bit.is_multiple_of(BLOCK) } else { bit < BLOCK };
+        if edge {
+            return 2;
+        }
+        let front = self.crossing.front[e];
+        ((front >> bit ^ front >> (bit - back)) & 1) as usize
     }
 }

@@ -1,7 +1,9 @@
-//! Section *mask*: which pixels hold a measurement.
+//! Which pixels hold a measurement.
 //!
-//! Blocks first (full, empty or mixed), then the pixels of mixed blocks in raster order: three
-//! contexts of decoded neighbours and of the last frame's mask, mixed.
+//! Coarse to fine: blocks of 8×8 pixels are full, empty or mixed ([`code_fills`], section
+//! *blocks*); the four quads of mixed blocks likewise ([`code_quads`], section *pixels*); then the
+//! pixels of mixed quads in raster order ([`code_pixels`]), under three mixed contexts of decoded
+//! neighbours and of the last frame's mask.
 
 use super::grid::Plane;
 use super::mixer::{self, CONTEXTS, Estimate, Weights};
@@ -9,7 +11,19 @@ use super::range_coder::{Bit, Coder};
 use crate::contact_map::contact::measured;
 use crate::deproject::{BLOCK, Rays};
 
-/// Measured pixels of a block.
+/// Pixels along one side of a quad, a quarter of a block.
+pub const QUAD: usize = BLOCK / 2;
+/// Quads of a block: top left, top right, bottom left, bottom right.
+pub const QUADS: usize = 4;
+
+/// Pixels of quad `q` in its block (bit `8·row + column`).
+#[inline(always)]
+#[must_use]
+pub const fn quad_pixels(q: usize) -> u64 {
+    0x0F0F_0F0F << (QUAD * (q & 1) + QUAD * BLOCK * (q >> 1))
+}
+
+/// Measured pixels of a block or a quad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Fill {
@@ -22,11 +36,38 @@ pub enum Fill {
     Mixed,
 }
 
-/// Learnt models of the section.
+impl Fill {
+    /// What `on` fills of `inside`, the pixels that lie in the image.
+    fn of(on: u64, inside: u64) -> Self {
+        match on & inside {
+            0 => Self::Empty,
+            n if n == inside => Self::Full,
+            _ => Self::Mixed,
+        }
+    }
+}
+
+/// Learnt models of the section *blocks*.
 #[derive(Clone, Debug)]
-pub struct Models {
+pub struct FillModels {
     full: [Bit; 36],
     empty: [Bit; 36],
+}
+
+impl Default for FillModels {
+    fn default() -> Self {
+        Self {
+            full: [Bit::default(); 36],
+            empty: [Bit::default(); 36],
+        }
+    }
+}
+
+/// Learnt models of quads and pixels.
+#[derive(Clone, Debug)]
+pub struct Models {
+    full: [Bit; 324],
+    empty: [Bit; 324],
     pixel: [Vec<Estimate>; CONTEXTS],
     weights: [Weights; 64],
 }
@@ -46,9 +87,9 @@ impl Models {
 impl Default for Models {
     fn default() -> Self {
         Self {
-            full: [Bit::default(); 36],
-            empty: [Bit::default(); 36],
-            pixel: [1024, 2048, 4096].map(|n| vec![Estimate::default(); n]),
+            full: [Bit::default(); 324],
+            empty: [Bit::default(); 324],
+            pixel: [4096, 2048, 4096].map(|n| vec![Estimate::default(); n]),
             weights: [Weights::default(); 64],
         }
     }
@@ -61,41 +102,61 @@ pub struct Mask {
     pub pixels: Plane<u8>,
     /// One for each block.
     pub fills: Vec<Fill>,
+    /// Of each block.
+    pub quads: Vec<[Fill; QUADS]>,
 }
 
 impl Mask {
-    /// A mask over `rays` whose pixels are still to be written.
+    /// A mask over `rays` that is still to be coded.
     pub fn reset(&mut self, rays: &Rays) {
         self.pixels.cover(rays, 0);
         self.fills.clear();
         self.fills.resize(rays.blocks(), Fill::Empty);
+        self.quads.clear();
+        self.quads.resize(rays.blocks(), [Fill::Empty; QUADS]);
     }
 
-    /// Sets pixels and fills from a padded plane of depth integers (0 = no measurement).
-    pub fn measure(&mut self, rays: &Rays, plane: &[u16]) {
-        let stride = rays.stride();
-        for y in 0..rays.height {
-            let start = self.pixels.index(0, y);
-            let row = &mut self.pixels.cells_mut()[start..start + rays.width];
-            for (m, &raw) in row.iter_mut().zip(&plane[y * stride..]) {
-                *m = u8::from(raw != 0);
+    /// Measured pixels of block `k` as far as they are decoded (bit `8·row + column`).
+    #[inline(always)]
+    #[must_use]
+    pub fn block(&self, rays: &Rays, k: usize) -> u64 {
+        match self.fills[k] {
+            Fill::Empty => 0,
+            Fill::Full => inside(rays, k),
+            Fill::Mixed => {
+                let (x0, y0, ..) = extent(rays, k);
+                let mut on = 0;
+                for j in 0..BLOCK {
+                    let start = self.pixels.index(x0, y0 + j);
+                    if let Some(row) = self.pixels.cells()[start..].first_chunk::<BLOCK>() {
+                        // eight cells of 0 or 1 to eight bits
+                        let bits = u64::from_le_bytes(*row).wrapping_mul(0x0102_0408_1020_4080);
+                        on |= (bits >> 56) << (BLOCK * j);
+                    }
+                }
+                on
             }
         }
-        for k in 0..rays.blocks() {
-            let (_, _, w, h) = extent(rays, k);
-            let count = measured(
-                plane,
-                rays,
-                (k % rays.block_columns, k / rays.block_columns),
-            )
-            .count_ones() as usize;
-            self.fills[k] = match count {
-                0 => Fill::Empty,
-                n if n == w * h => Fill::Full,
-                _ => Fill::Mixed,
-            };
-        }
     }
+}
+
+/// Measured pixels of each block of a padded plane of depth integers (0 = no measurement).
+pub fn measure(rays: &Rays, plane: &[u16], out: &mut Vec<u64>) {
+    out.clear();
+    out.extend((0..rays.blocks()).map(|k| {
+        let at = (k % rays.block_columns, k / rays.block_columns);
+        measured(plane, rays, at)
+    }));
+}
+
+/// Pixels of block `k` that lie in the image (bit `8·row + column`).
+#[inline(always)]
+#[must_use]
+pub fn inside(rays: &Rays, k: usize) -> u64 {
+    let (_, _, w, h) = extent(rays, k);
+    let row = u64::MAX >> (BLOCK * BLOCK - w) & 0xFF;
+    let rows = u64::MAX >> (BLOCK * (BLOCK - h));
+    row * 0x0101_0101_0101_0101 & rows
 }
 
 /// First pixel and size of block `k`, clipped to the image.
@@ -114,77 +175,153 @@ pub fn extent(rays: &Rays, k: usize) -> (usize, usize, usize, usize) {
     )
 }
 
-/// Codes `mask`; `before` is the mask of the reference frame.
-#[allow(unsafe_code)] // run-time dispatch generated by the macro
-#[multiversion::multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
-pub fn code<C: Coder>(
+fn code_fill<C: Coder>(coder: &mut C, full: &mut Bit, empty: &mut Bit, fill: Fill) -> Fill {
+    if coder.bit(full, fill == Fill::Full) {
+        Fill::Full
+    } else if coder.bit(empty, fill == Fill::Empty) {
+        Fill::Empty
+    } else {
+        Fill::Mixed
+    }
+}
+
+/// Codes the fills of the blocks; `wanted` are the measured pixels of each (not used to decode).
+pub fn code_fills<C: Coder>(
+    coder: &mut C,
+    models: &mut FillModels,
+    rays: &Rays,
+    mask: &mut Mask,
+    before: Option<&Mask>,
+    wanted: &[u64],
+) {
+    let columns = rays.block_columns;
+    for k in 0..rays.blocks() {
+        let fill = Fill::of(wanted.get(k).copied().unwrap_or(0), inside(rays, k));
+        let at = |there: bool, k: usize| if there { mask.fills[k] } else { Fill::Empty };
+        let west = at(!k.is_multiple_of(columns), k.wrapping_sub(1));
+        let north = at(k >= columns, k.wrapping_sub(columns));
+        let past = before.map_or(3, |b| b.fills[k] as usize);
+        let context = (west as usize * 3 + north as usize) * 4 + past;
+        let (full, empty) = (&mut models.full[context], &mut models.empty[context]);
+        mask.fills[k] = code_fill(coder, full, empty, fill);
+    }
+}
+
+/// Codes the quads of mixed blocks and sets all pixels that they and the fills tell, the others
+/// to 0.
+pub fn code_quads<C: Coder>(
     coder: &mut C,
     models: &mut Models,
     rays: &Rays,
     mask: &mut Mask,
     before: Option<&Mask>,
+    wanted: &[u64],
 ) {
-    let columns = rays.block_columns;
-    for k in 0..rays.blocks() {
-        let fill = mask.fills[k];
-        let west = if k % columns > 0 {
-            mask.fills[k - 1]
-        } else {
-            Fill::Empty
-        };
-        let north = if k >= columns {
-            mask.fills[k - columns]
-        } else {
-            Fill::Empty
-        };
-        let past = before.map_or(3, |b| b.fills[k] as usize);
-        let context = (west as usize * 3 + north as usize) * 4 + past;
-        let read = if coder.bit(&mut models.full[context], fill == Fill::Full) {
-            Fill::Full
-        } else if coder.bit(&mut models.empty[context], fill == Fill::Empty) {
-            Fill::Empty
-        } else {
-            Fill::Mixed
-        };
-        mask.fills[k] = read;
-        if read != Fill::Mixed {
+    let (columns, blocks) = (rays.block_columns, rays.blocks());
+    let Mask {
+        pixels,
+        fills,
+        quads,
+    } = mask;
+    for k in 0..blocks {
+        let (x0, y0, w, h) = extent(rays, k);
+        let fill = fills[k];
+        if fill != Fill::Mixed {
+            quads[k] = [fill; QUADS];
             // cells beyond the image stay 0
-            let (x0, y0, w, h) = extent(rays, k);
             for j in 0..h {
-                let start = mask.pixels.index(x0, y0 + j);
-                mask.pixels.cells_mut()[start..start + w].fill(u8::from(read == Fill::Full));
+                let start = pixels.index(x0, y0 + j);
+                pixels.cells_mut()[start..start + w].fill(u8::from(fill == Fill::Full));
             }
+            continue;
         }
-    }
-    for y in 0..rays.height {
-        for bx in 0..columns {
-            if mask.fills[y / BLOCK * columns + bx] != Fill::Mixed {
+        let (all, on) = (inside(rays, k), wanted.get(k).copied().unwrap_or(0));
+        let x = k % columns;
+        let quad = |there: bool, k: usize, q: usize| if there { quads[k][q] } else { Fill::Empty };
+        let block = |there: bool, k: usize| if there { fills[k] } else { Fill::Empty };
+        // around the block: quads that are decoded, blocks where they are not
+        let west = [1, 3].map(|q| quad(x > 0, k.wrapping_sub(1), q));
+        let north = [2, 3].map(|q| quad(k >= columns, k.wrapping_sub(columns), q));
+        let east = block(x + 1 < columns, k + 1);
+        let south = block(k + columns < blocks, k + columns);
+        for q in 0..QUADS {
+            let here = quad_pixels(q) & all;
+            if here == 0 {
+                quads[k][q] = Fill::Empty;
                 continue;
             }
-            let start = mask.pixels.index(bx * BLOCK, y);
-            for i in start..start + BLOCK.min(rays.width - bx * BLOCK) {
-                let cells = contexts(&mask.pixels, before.map(|b| &b.pixels), i);
-                let value = mask.pixels.cells()[i] != 0;
-                let [a, b, c] = &mut models.pixel;
-                let read = mixer::code(
-                    coder,
-                    [&mut a[cells[0]], &mut b[cells[1]], &mut c[cells[2]]],
-                    &mut models.weights[cells[0] >> 4],
-                    value,
-                );
-                mask.pixels.cells_mut()[i] = u8::from(read);
+            let (right, low) = (q & 1, q >> 1);
+            let w = if right == 1 { quads[k][q - 1] } else { west[low] };
+            let n = if low == 1 { quads[k][q - 2] } else { north[right] };
+            let e = if right == 1 { east } else { Fill::Mixed };
+            let s = if low == 1 { south } else { Fill::Mixed };
+            let past = before.map_or(3, |b| b.quads[k][q] as usize);
+            let around = [n, e, s].iter().fold(w as usize, |c, &f| c * 3 + f as usize);
+            let context = around * 4 + past;
+            let (full, empty) = (&mut models.full[context], &mut models.empty[context]);
+            let fill = code_fill(coder, full, empty, Fill::of(on, here));
+            quads[k][q] = fill;
+            let (x0, y0) = (x0 + QUAD * right, y0 + QUAD * low);
+            let w = QUAD.min(rays.width - x0);
+            for j in 0..QUAD.min(rays.height - y0) {
+                let start = pixels.index(x0, y0 + j);
+                pixels.cells_mut()[start..start + w].fill(u8::from(fill == Fill::Full));
             }
         }
     }
 }
 
-/// Contexts of a pixel: ten neighbours decoded already; six of them with three pixels of the last
-/// mask; the last mask all around.
+/// Codes the pixels of mixed quads.
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
+pub fn code_pixels<C: Coder>(
+    coder: &mut C,
+    models: &mut Models,
+    rays: &Rays,
+    mask: &mut Mask,
+    before: Option<&Mask>,
+    wanted: &[u64],
+) {
+    let columns = rays.block_columns;
+    for y in 0..rays.height {
+        let row = y / BLOCK * columns;
+        let low = y % BLOCK / QUAD * 2;
+        for k in row..row + columns {
+            if mask.fills[k] != Fill::Mixed {
+                continue;
+            }
+            let on = wanted.get(k).map_or(0, |on| on >> (y % BLOCK * BLOCK));
+            for right in 0..2 {
+                if mask.quads[k][low + right] != Fill::Mixed {
+                    continue;
+                }
+                let x0 = (k - row) * BLOCK + right * QUAD;
+                let start = mask.pixels.index(x0, y);
+                for j in 0..QUAD.min(rays.width - x0) {
+                    let i = start + j;
+                    let cells = contexts(&mask.pixels, before.map(|b| &b.pixels), i);
+                    let [a, b, c] = &mut models.pixel;
+                    let read = mixer::code(
+                        coder,
+                        [&mut a[cells[0]], &mut b[cells[1]], &mut c[cells[2]]],
+                        &mut models.weights[cells[0] >> 6],
+                        on >> (right * QUAD + j) & 1 != 0,
+                    );
+                    mask.pixels.cells_mut()[i] = u8::from(read);
+                }
+            }
+        }
+    }
+}
+
+/// Contexts of a pixel: six neighbours decoded already with three pixels of the last mask and what
+/// is known to the east and south; ten neighbours; the last mask all around.
 #[inline(always)]
 fn contexts(mask: &Plane<u8>, before: Option<&Plane<u8>>, i: usize) -> [usize; CONTEXTS] {
     let (p, s) = (mask.cells(), mask.stride());
     let bits = |p: &[u8], at: &[usize]| at.iter().fold(0, |c, &k| c << 1 | usize::from(p[k]));
     let near = bits(p, &[i - 1, i - 2, i - s - 1, i - s, i - s + 1, i - 2 * s]);
+    let ahead = bits(p, &[i + 1, i + s]);
     let wide = bits(
         p,
         &[i - 3, i - s - 2, i - s + 2, i - 2 * s - 1, i - 2 * s + 1],
@@ -213,7 +350,7 @@ fn contexts(mask: &Plane<u8>, before: Option<&Plane<u8>>, i: usize) -> [usize; C
         }
     };
     [
-        near << 4 | few,
+        near << 6 | few << 2 | ahead,
         near << 5 | wide,
         all << 2 | (near >> 5) << 1 | near >> 2 & 1,
     ]

@@ -98,6 +98,23 @@ impl Default for Weights {
     }
 }
 
+/// Probability of a one (1/65536) under the mixed estimates.
+#[inline(always)]
+#[must_use]
+pub fn chance(estimates: [&Estimate; CONTEXTS], weights: &Weights) -> u32 {
+    let mut sum = CONSTANT * weights.0[CONTEXTS];
+    for (e, w) in estimates.iter().zip(&weights.0) {
+        sum += e.log_odds() * w;
+    }
+    mixed(sum)
+}
+
+/// Probability of a one from the weighted sum of log-odds.
+#[inline(always)]
+fn mixed(sum: i32) -> u32 {
+    squash((sum >> ONE).clamp(-MOST, MOST)).clamp(48, 65488) as u32
+}
+
 /// Codes `value` under the mixed estimates; all of them and the weights learn it.
 #[inline(always)]
 pub fn code<C: Coder>(
@@ -111,9 +128,9 @@ pub fn code<C: Coder>(
         *lane = e.log_odds();
     }
     let sum: i32 = lanes.iter().zip(&weights.0).map(|(s, w)| s * w).sum();
-    let p = squash((sum >> ONE).clamp(-MOST, MOST)).clamp(48, 65488);
-    let bit = coder.chance(p as u32, value);
-    let error = ((i32::from(bit) << 16) - p) >> 4;
+    let p = mixed(sum);
+    let bit = coder.chance(p, value);
+    let error = ((i32::from(bit) << 16) - p as i32) >> 4;
     for (w, s) in weights.0.iter_mut().zip(lanes) {
         *w = (*w + ((s * error + (1 << 12)) >> 13)).clamp(-HEAVIEST, HEAVIEST);
     }

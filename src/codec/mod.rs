@@ -10,6 +10,7 @@ pub mod polar;
 use crate::frame::FrameTime;
 
 pub mod bins;
+mod choice;
 pub mod decoder;
 pub mod encoder;
 pub mod grid;
@@ -17,11 +18,13 @@ pub mod header;
 pub mod label_map;
 pub mod mask;
 pub mod mixer;
+pub mod palettes;
 pub mod payload;
 pub mod range_coder;
 pub mod residual;
 pub mod sphere_table;
 mod state;
+mod surface;
 
 pub use decoder::{DecodedFrame, Decoder};
 pub use encoder::{CodecOptions, EncodeReport, Encoder};

@@ -51,17 +51,29 @@ impl Bit {
         }
     }
 
-    /// Bits that coding `value` costs now.
+    /// What coding `value` costs now, in 1/16 bit.
+    #[inline(always)]
     #[must_use]
-    pub fn cost(self, value: bool) -> f32 {
-        let p = self.one() as f32 / 65536.0;
-        -(if value { p } else { 1.0 - p }).log2()
+    pub fn cost(self, value: bool) -> u32 {
+        cost(self.one(), value)
     }
+}
+
+/// What a bit costs that is a one with probability `one`/65536, in 1/16 bit (a little more than the
+/// logarithm, which is taken piece by piece).
+#[inline(always)]
+#[must_use]
+pub fn cost(one: u32, value: bool) -> u32 {
+    let p = if value { one } else { (1 << 16) - one };
+    let whole = p.ilog2();
+    256 - 16 * whole - ((p << (16 - whole)) >> 12 & 15)
 }
 
 /// Either direction of the coder. A model is written once, against this trait: the encoder codes
 /// the value it is given and returns it, the decoder ignores it and returns what it read.
 pub trait Coder {
+    /// True for the direction that writes: it alone chooses.
+    const WRITES: bool;
     /// Codes one bit that is a one with probability `one`/65536, which is above 0 and below 65536.
     fn chance(&mut self, one: u32, value: bool) -> bool;
     /// Codes one bit under a model.
@@ -142,6 +154,8 @@ impl<'a> Encoder<'a> {
 }
 
 impl Coder for Encoder<'_> {
+    const WRITES: bool = true;
+
     #[inline(always)]
     fn chance(&mut self, one: u32, value: bool) -> bool {
         let bound = (self.range >> 16) * one;
@@ -214,6 +228,8 @@ impl<'a> Decoder<'a> {
 }
 
 impl Coder for Decoder<'_> {
+    const WRITES: bool = false;
+
     #[inline(always)]
     fn chance(&mut self, one: u32, _: bool) -> bool {
         let bound = (self.range >> 16) * one;

@@ -14,7 +14,8 @@ use super::bins::{self, Bins};
 use super::grid::Plane;
 use super::mixer::{self, CONTEXTS, Estimate, Weights};
 use super::range_coder::{Bit, Coder, Integer};
-use super::state::{BEYOND, Picture, to_integer};
+use super::state::Picture;
+use super::surface::{BEYOND, to_integer};
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
 
