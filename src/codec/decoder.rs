@@ -185,14 +185,16 @@ fn read_sections(
     let mut last = None;
     for (number, support) in supports.iter().enumerate() {
         if !support.is_nowhere() {
-            let before = before.entries.get(number).copied().flatten();
+            let past = before.entries.get(number).copied().flatten();
+            let beside = support.beside(&now.entries, &before.entries, number);
             now.entries[number] = Some(sphere_table::code_entry(
                 &mut coder,
                 &mut models.spheres,
                 rays,
                 support,
                 None,
-                before,
+                past,
+                beside,
                 &mut last,
             ));
         }

@@ -1,18 +1,17 @@
 //! SAINT frames to payloads.
 
 use super::header::{Header, Stream, Tolerance};
-use super::mask::extent;
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
-use super::choice::Cheapest;
+use super::choice::{Cheapest, Errors};
 use super::state::{MAX_SPHERES, State};
 use super::surface::to_integer;
-use super::{CodecError, EncodedFrame, mask, residual};
-use crate::contact_map::assign::{EMPTY, PALETTE};
+use super::{CodecError, EncodedFrame, mask, palette_choice, residual};
 use crate::contact_map::contact::Reach;
-use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
+use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
+use crate::fit::contact_distance::ContactDistance;
 use crate::fit::live::FitOptions;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
@@ -24,6 +23,8 @@ pub struct CodecOptions {
     pub keyframe_every: u32,
     /// How well measurements come back.
     pub tolerance: Tolerance,
+    /// The contact distance of the fit: errors are weighed by it, and spheres stated as finely.
+    pub contact: ContactDistance,
 }
 
 /// What one frame cost.
@@ -56,12 +57,15 @@ pub struct Encoder {
     rays: Rays,
     validity: Validity,
     reach: Reach,
+    contact: Reach,
     options: CodecOptions,
     state: State,
     plane: Vec<u16>,
     /// Measured pixels of each block, and those of them that touch the sphere they got.
     measured: Vec<u64>,
     hits: Vec<u64>,
+    /// Number of blocks each model slot is in.
+    blocks: Vec<u32>,
     /// Model slot to sphere number, and the surface as the model last gave it.
     numbers: Vec<Option<(u16, Sphere)>>,
     /// Sphere number to model slot.
@@ -80,7 +84,7 @@ const NOWHERE: Sphere = Sphere {
 
 /// Share of the contact distance that one quantisation step takes. Coarser steps cost spheres less
 /// and residuals more; measured flat between 1/8 and 1/32 of the distance surfaces are fitted to.
-const STEP_SHARE: f64 = 0.0625;
+const STEP_SHARE: f64 = 0.12;
 
 /// A block is dense where at least one pixel in so many misses its sphere.
 const DENSE_FROM: u32 = 4;
@@ -106,12 +110,14 @@ impl Encoder {
             rays,
             validity: Validity::new(camera),
             reach: Reach::new(&options.tolerance.contact, camera.depth_unit_m),
+            contact: Reach::new(&options.contact, camera.depth_unit_m),
             stream,
             options,
             state: State::with_room(room),
             plane: Vec::new(),
             measured: Vec::new(),
             hits: Vec::new(),
+            blocks: Vec::with_capacity(room),
             numbers: Vec::with_capacity(room),
             slots: Vec::with_capacity(room),
             sections: Default::default(),
@@ -214,54 +220,31 @@ impl Encoder {
         Ok(report)
     }
 
-    /// Palettes (model slots for now). A block takes the four labels with most pixels; pixels that
-    /// touch nothing join a sphere of theirs, unless they are many: then the block has "no sphere" in
-    /// its palette and they are predicted from each other.
     fn choose_palettes(&mut self, saint: &SaintFrame) {
-        let (rays, now) = (&self.rays, &mut self.state.now);
+        let map = &mut self.state.now.map;
+        let errors = Errors {
+            plane: &self.plane,
+            reach: &self.reach,
+            contact: &self.contact,
+        };
+        self.blocks.clear();
+        self.blocks.resize(saint.spheres.len(), 0);
         for (k, &measured) in self.measured.iter().enumerate() {
-            now.map.palettes[k] = EMPTY;
-            now.map.sizes[k] = 0;
-            if measured == 0 {
-                continue;
-            }
-            let (x0, y0, w, h) = extent(rays, k);
-            if let Some(label) = single_label(saint, rays, (x0, y0, w, h)) {
-                now.map.palettes[k][0] = label;
-                now.map.sizes[k] = 1;
-                continue;
-            }
-            let mut found: [(u32, u16); 16] = [(0, NO_SPHERE); 16];
-            let mut n = 0;
-            let mut left = measured;
-            while left != 0 {
-                let bit = left.trailing_zeros() as usize;
-                left &= left - 1;
-                let label = saint.labels[(y0 + bit / BLOCK) * rays.width + x0 + bit % BLOCK];
-                let id = match saint.spheres.get(usize::from(label)) {
-                    Some(Some(_)) => label,
-                    _ => NO_SPHERE,
-                };
-                if let Some(f) = found[..n].iter_mut().find(|f| f.1 == id) {
-                    f.0 += 1;
-                } else if n < found.len() {
-                    found[n] = (1, id);
-                    n += 1;
+            let (palette, size) = palette_choice::gather(saint, &self.rays, k, measured);
+            for &slot in &palette[..usize::from(size)] {
+                if let Some(n) = self.blocks.get_mut(usize::from(slot)) {
+                    *n += 1;
                 }
             }
-            let total = measured.count_ones();
-            // few loners are cheaper as residuals of a sphere
-            let spheres = found[..n].iter().any(|f| f.1 != NO_SPHERE);
-            for f in &mut found[..n] {
-                if f.1 == NO_SPHERE && spheres && f.0 * 3 < total {
-                    f.0 = 0;
-                }
-            }
-            found[..n].sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-            for f in found[..n].iter().take(PALETTE).filter(|f| f.0 > 0) {
-                let size = &mut now.map.sizes[k];
-                now.map.palettes[k][usize::from(*size)] = f.1;
-                *size += 1;
+            (map.palettes[k], map.sizes[k]) = (palette, size);
+        }
+        for (k, &measured) in self.measured.iter().enumerate() {
+            let (palette, size) = (&mut map.palettes[k], &mut map.sizes[k]);
+            if *size > 1 {
+                let at = (k, measured);
+                let left = usize::from(*size);
+                let left = palette_choice::prune(saint, &self.rays, &errors, at, &self.blocks, palette, left);
+                *size = left as u8;
             }
         }
     }
@@ -320,7 +303,12 @@ impl Encoder {
     fn code_pixels(&mut self, key: bool) {
         let mut coder = RangeEncoder::new(&mut self.sections[2]);
         let (rays, reach, measured) = (&self.rays, &self.reach, &self.measured);
-        let mut choice = Cheapest::new(rays, &self.plane, reach, measured, &mut self.hits);
+        let errors = Errors {
+            plane: &self.plane,
+            reach,
+            contact: &self.contact,
+        };
+        let mut choice = Cheapest::new(rays, errors, measured, &mut self.hits);
         self.state
             .code_pixels(&mut coder, rays, reach, key, measured, &mut choice);
         coder.finish();
@@ -363,11 +351,12 @@ impl Encoder {
                 _ => {
                     let w = support.depth(&self.rays, &sphere).max(1e-3);
                     let z = 1.0 / w;
-                    let size = STEP_SHARE * self.options.tolerance.contact.at(z) * w * w;
+                    let size = STEP_SHARE * self.options.contact.at(z) * w * w;
                     Statement::Sphere(sphere, size)
                 }
             };
             self.numbers[slot] = Some((number as u16, sphere));
+            let beside = support.beside(&now.entries, &before.entries, number);
             let entry = sphere_table::code_entry(
                 &mut coder,
                 &mut models.spheres,
@@ -375,6 +364,7 @@ impl Encoder {
                 support,
                 Some(statement),
                 past,
+                beside,
                 &mut last,
             );
             now.entries[number] = Some(entry);
@@ -472,21 +462,4 @@ impl Encoder {
         coder.finish();
         Ok(())
     }
-}
-
-/// The one label of all measured pixels of a block, where they have one and it names a sphere.
-#[inline]
-fn single_label(
-    saint: &SaintFrame,
-    rays: &Rays,
-    (x0, y0, w, h): (usize, usize, usize, usize),
-) -> Option<u16> {
-    let rows = || (0..h).map(|j| &saint.labels[(y0 + j) * rays.width + x0..][..w]);
-    let first = rows().flatten().copied().find(|l| *l != INVALID)?;
-    saint.spheres.get(usize::from(first)).copied().flatten()?;
-    let same = |row: &[u16]| {
-        row.iter()
-            .fold(true, |s, &l| s & ((l == first) | (l == INVALID)))
-    };
-    rows().all(same).then_some(first)
 }

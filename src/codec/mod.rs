@@ -18,6 +18,7 @@ pub mod header;
 pub mod label_map;
 pub mod mask;
 pub mod mixer;
+mod palette_choice;
 pub mod palettes;
 pub mod payload;
 pub mod range_coder;

@@ -31,6 +31,8 @@ pub struct Models {
     step_change: Integer,
     fresh: [Integer; 4],
     change: [Integer; 4],
+    runs_on: Bit,
+    guided: [Integer; 4],
 }
 
 /// Where a sphere touches: middle (pixels) and half extent (pixels) of its blocks.
@@ -38,12 +40,15 @@ pub struct Models {
 pub struct Support {
     low: (u16, u16),
     high: (u16, u16),
+    /// The first other sphere that is met beside it, or `NO_SPHERE`.
+    beside: u16,
 }
 
 impl Support {
     const NOWHERE: Self = Self {
         low: (u16::MAX, u16::MAX),
         high: (0, 0),
+        beside: NO_SPHERE,
     };
 
     /// Supports of all spheres with numbers below `count`.
@@ -55,14 +60,28 @@ impl Support {
                 (k % rays.block_columns) as u16,
                 (k / rays.block_columns) as u16,
             );
-            for &id in &palette[..usize::from(size)] {
+            let palette = &palette[..usize::from(size)];
+            for &id in palette {
                 if id != NO_SPHERE && usize::from(id) < count {
+                    let west = (x > 0).then(|| map.palettes[k - 1][0]);
+                    let north = (y > 0).then(|| map.palettes[k - rays.block_columns][0]);
                     let s = &mut out[usize::from(id)];
+                    if s.beside == NO_SPHERE {
+                        let mut around = west.into_iter().chain(north).chain(palette.iter().copied());
+                        s.beside = around.find(|&b| b != id && b != NO_SPHERE).unwrap_or(NO_SPHERE);
+                    }
                     s.low = (s.low.0.min(x), s.low.1.min(y));
                     s.high = (s.high.0.max(x), s.high.1.max(y));
                 }
             }
         }
+    }
+
+    /// The entry beside this one: as stated already in this frame, else as the reference frame has it.
+    pub fn beside(&self, now: &[Option<Entry>], before: &[Option<Entry>], number: usize) -> Option<Entry> {
+        let k = usize::from(self.beside);
+        let stated = now[..number].get(k).copied().flatten();
+        stated.or_else(|| before.get(k).copied().flatten())
     }
 
     /// True where the sphere touches nothing.
@@ -215,6 +234,7 @@ pub fn code_entry<C: Coder>(
     support: &Support,
     statement: Option<Statement>,
     before: Option<Entry>,
+    beside: Option<Entry>,
     last: &mut Option<Entry>,
 ) -> Entry {
     if let Some(before) = before
@@ -235,7 +255,7 @@ pub fn code_entry<C: Coder>(
         ),
     };
     let wanted = (size.log2().floor() as i32).clamp(STEP_MIN, STEP_MAX);
-    let guide = before.or(*last);
+    let guide = before.or(beside).or(*last);
     let log = match guide {
         Some(g) => {
             i32::from(g.step)
@@ -262,9 +282,27 @@ pub fn code_entry<C: Coder>(
                 );
             }
         }
+    } else if let Some(beside) = beside
+        && {
+            let guess = chart.quantise(&beside.sphere, step);
+            let size = |n: i32| 32 - n.unsigned_abs().leading_zeros();
+            let on: u32 = (0..4).map(|k| size(numbers[k].wrapping_sub(guess[k]))).sum();
+            let anew: u32 = size(numbers[0].wrapping_sub(guess[0])) + (1..4).map(|k| size(numbers[k])).sum::<u32>();
+            coder.bit(&mut models.runs_on, on < anew)
+        }
+    {
+        let guess = chart.quantise(&beside.sphere, step);
+        for k in 0..4 {
+            if k < 3 || !plane {
+                read[k] = add(
+                    guess[k],
+                    models.guided[k].code_signed(coder, clamp(numbers[k] - guess[k])),
+                );
+            }
+        }
     } else {
         // depth runs on from the sphere before, tilt and curvature do not
-        let guess = last.map_or(0, |l| chart.quantise(&l.sphere, step)[0]);
+        let guess = beside.or(*last).map_or(0, |l| chart.quantise(&l.sphere, step)[0]);
         read[0] = add(
             guess,
             models.fresh[0].code_signed(coder, clamp(numbers[0] - guess)),

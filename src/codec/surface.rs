@@ -3,6 +3,7 @@
 use super::sphere_table::Entry;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
+use crate::fit::sphere::Sphere;
 
 /// Predicted depths of a block's pixels, row by row; not above 0 or NaN where there is no surface.
 pub(super) type Depths = [f32; BLOCK * BLOCK];
@@ -26,21 +27,26 @@ impl Surfaces<'_> {
             *out = NOTHING;
             return;
         };
-        let sphere = entry.sphere;
-        let (x0, y0) = (
-            k % rays.block_columns * BLOCK,
-            k / rays.block_columns * BLOCK,
-        );
-        let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
-            return;
-        };
-        let (a4, side) = (4.0 * sphere.a, if sphere.far { -1.0 } else { 1.0 });
-        for (row, &v) in out.chunks_exact_mut(BLOCK).zip(&rays.v[y0..]) {
-            for i in 0..BLOCK {
-                let q = u[i] * u[i] + v * v + 1.0;
-                let l = sphere.m.x * u[i] + sphere.m.y * v + sphere.m.z;
-                row[i] = rays.per_metre / (0.5 * (l + side * (l * l + a4 * q).sqrt()));
-            }
+        depths_of(rays, k, &entry.sphere, out);
+    }
+}
+
+/// Depths of `sphere` in block `k`.
+#[inline(always)]
+pub(super) fn depths_of(rays: &Rays, k: usize, sphere: &Sphere, out: &mut Depths) {
+    let (x0, y0) = (
+        k % rays.block_columns * BLOCK,
+        k / rays.block_columns * BLOCK,
+    );
+    let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
+        return;
+    };
+    let (a4, side) = (4.0 * sphere.a, if sphere.far { -1.0 } else { 1.0 });
+    for (row, &v) in out.chunks_exact_mut(BLOCK).zip(&rays.v[y0..]) {
+        for i in 0..BLOCK {
+            let q = u[i] * u[i] + v * v + 1.0;
+            let l = sphere.m.x * u[i] + sphere.m.y * v + sphere.m.z;
+            row[i] = rays.per_metre / (0.5 * (l + side * (l * l + a4 * q).sqrt()));
         }
     }
 }
