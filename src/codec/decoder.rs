@@ -11,6 +11,7 @@ use super::{CodecError, residual};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
 use crate::deproject::Rays;
+use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, FrameTime};
 
@@ -126,7 +127,7 @@ impl Decoder {
         if !key {
             state.follow(&header.motion);
         }
-        let read = read_sections(state, rays, reach, key, sections).and_then(|()| {
+        let read = read_sections(state, rays, reach, (key, &header.motion), sections).and_then(|()| {
             state.rebuild(rays);
             let lossless = stream.tolerance.lossless;
             rebuild(state, rays, key, sections[3], lossless, reach)
@@ -160,7 +161,7 @@ fn read_sections(
     state: &mut State,
     rays: &Rays,
     reach: &Reach,
-    key: bool,
+    (key, motion): (bool, &Motion),
     sections: [&[u8]; 4],
 ) -> Result<(), CodecError> {
     let mut coder = RangeDecoder::new(sections[0]);
@@ -201,7 +202,7 @@ fn read_sections(
     }
     overrun(&coder)?;
     let mut coder = RangeDecoder::new(sections[2]);
-    state.code_pixels(&mut coder, rays, reach, key, &[], &mut AsRead);
+    state.code_pixels(&mut coder, rays, reach, (key, motion), &[], &mut AsRead);
     overrun(&coder)
 }
 

@@ -13,6 +13,7 @@ use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::live::FitOptions;
+use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
 
@@ -184,7 +185,8 @@ impl Encoder {
         }
         self.code_blocks(key)?;
         self.code_spheres(saint, &mut report);
-        self.code_pixels(key);
+        let motion = if key { Motion::default() } else { saint.motion };
+        self.code_pixels(key, &motion);
         self.state.rebuild(&self.rays);
         self.choose_kinds(&mut report);
         self.code_residuals(key)?;
@@ -300,7 +302,7 @@ impl Encoder {
         Ok(())
     }
 
-    fn code_pixels(&mut self, key: bool) {
+    fn code_pixels(&mut self, key: bool, motion: &Motion) {
         let mut coder = RangeEncoder::new(&mut self.sections[2]);
         let (rays, reach, measured) = (&self.rays, &self.reach, &self.measured);
         let errors = Errors {
@@ -310,7 +312,7 @@ impl Encoder {
         };
         let mut choice = Cheapest::new(rays, errors, measured, &mut self.hits);
         self.state
-            .code_pixels(&mut coder, rays, reach, key, measured, &mut choice);
+            .code_pixels(&mut coder, rays, reach, (key, motion), measured, &mut choice);
         coder.finish();
     }
 

@@ -6,7 +6,7 @@
 //! them cross, the map changes from one to the other.
 
 use super::grid::Plane;
-use super::mask::{Mask, QUAD, QUADS, extent, quad_pixels};
+use super::mask::{Mask, Past, QUAD, QUADS, extent, quad_pixels};
 use super::mixer::{self, CONTEXTS, Estimate, Weights};
 use super::range_coder::{Bit, Coder};
 use super::surface::{self, Depths};
@@ -22,7 +22,7 @@ const NODES: usize = PALETTE - 1;
 /// Learnt models of the labels of quads and pixels.
 #[derive(Clone, Debug)]
 pub struct Models {
-    split: [Bit; 5 * 4 * 2 * 3 * NODES],
+    split: [Bit; 5 * 3 * 2 * 3 * NODES],
     whole: [Bit; 243 * NODES],
     pixel: [Vec<Estimate>; CONTEXTS],
     weights: [Weights; 9 * NODES],
@@ -43,7 +43,7 @@ impl Models {
 impl Default for Models {
     fn default() -> Self {
         Self {
-            split: [Bit::default(); 5 * 4 * 2 * 3 * NODES],
+            split: [Bit::default(); 5 * 3 * 2 * 3 * NODES],
             whole: [Bit::default(); 243 * NODES],
             pixel: CELLS.map(|n| vec![Estimate::default(); n * NODES]),
             weights: [Weights::default(); 9 * NODES],
@@ -59,8 +59,6 @@ pub struct LabelMap {
     pub palettes: Vec<Palette>,
     /// Entries in each palette; 0 for an empty block.
     pub sizes: Vec<u8>,
-    /// Quads of each block that are divided among spheres, a bit each.
-    pub splits: Vec<u8>,
     /// Label of each measured pixel. Pixels without a measurement hold a label, too: that of their
     /// quad, or the one to their left.
     pub pixels: Plane<u16>,
@@ -73,8 +71,6 @@ impl LabelMap {
         self.palettes.resize(rays.blocks(), EMPTY);
         self.sizes.clear();
         self.sizes.resize(rays.blocks(), 0);
-        self.splits.clear();
-        self.splits.resize(rays.blocks(), 0);
         self.pixels.cover(rays, NO_SPHERE);
     }
 }
@@ -121,7 +117,7 @@ pub(super) fn code<C: Coder, W: Choice>(
     reach: &Reach,
     mask: &Mask,
     map: &mut LabelMap,
-    before: Option<&LabelMap>,
+    before: Option<Past<'_, u16>>,
     surfaces: &surface::Surfaces<'_>,
     predicted: &mut Plane<f32>,
     choice: &mut W,
@@ -154,7 +150,7 @@ pub(super) fn code<C: Coder, W: Choice>(
                 on,
                 crossing: &crossing,
                 start: map.pixels.index(x0, y0),
-                before: before.map(|b| (b.pixels.cells(), b.splits[k])),
+                before,
                 map,
             };
             let mut entries = [0u8; BLOCK * BLOCK];
@@ -211,7 +207,7 @@ struct Block<'a> {
     on: u64,
     crossing: &'a Crossing,
     start: usize,
-    before: Option<(&'a [u16], u8)>,
+    before: Option<Past<'a, u16>>,
     map: &'a mut LabelMap,
 }
 
@@ -249,7 +245,7 @@ impl Block<'_> {
             return;
         }
         // the labels of the quad as a whole look like its upper left middle
-        let past = self.before.map(|(b, _)| b[first + 1 + stride]);
+        let past = self.before.map(|b| b.cells[b.at(self.k, first + 1 + stride)]);
         let near = [
             cells[first - 1 + stride],
             cells[first + 1 - stride],
@@ -276,7 +272,6 @@ impl Block<'_> {
             want = choice.quad(on, &costs[..self.size], split.cost(true));
         }
         if coder.bit(split, want.is_none()) {
-            self.map.splits[self.k] |= 1 << q;
             for j in 0..QUAD {
                 for i in 0..QUAD {
                     let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD + i;
@@ -333,9 +328,12 @@ impl Block<'_> {
             (false, false) => 3,
             _ => 2,
         };
-        let past = self
-            .before
-            .map_or(3, |(_, splits)| usize::from(splits >> q & 1) + usize::from(splits != 0));
+        let past = self.before.map_or(2, |b| {
+            let first = b.at(self.k, first);
+            let label = b.cells[first];
+            let row = |j: usize| &b.cells[first + j * stride..][..QUAD];
+            usize::from((0..QUAD).any(|j| row(j).iter().any(|&l| l != label)))
+        });
         let pixels = quad_pixels(q);
         let front = self.crossing.front[0] & pixels;
         let crossed = usize::from(front != 0 && front != pixels);
@@ -344,7 +342,7 @@ impl Block<'_> {
             all if all == pixels => 2,
             _ => 1,
         };
-        (((agree * 4 + past) * 2 + crossed) * 3 + close) * NODES + self.size - 2
+        (((agree * 3 + past) * 2 + crossed) * 3 + close) * NODES + self.size - 2
     }
 
     #[inline(always)]
@@ -363,7 +361,10 @@ impl Block<'_> {
         // the north-east is not decoded where it lies in a later quad
         let there = i + 1 < QUAD || (j == 0 && q < 3);
         let ne = if there { cells[at - stride + 1] } else { n };
-        let past = self.before.map(|(b, _)| [b[at], b[at + 1], b[at + stride]]);
+        let past = self.before.map(|b| {
+            let at = b.at(self.k, at);
+            [b.cells[at], b.cells[at + 1], b.cells[at + stride]]
+        });
         let mut contexts = [[0usize; CONTEXTS]; NODES];
         let mut sets = [0usize; NODES];
         for e in 0..self.size - 1 {

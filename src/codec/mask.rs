@@ -36,6 +36,39 @@ pub enum Fill {
     Mixed,
 }
 
+/// A plane of the last frame, looked at where each block was then.
+#[derive(Clone, Copy)]
+pub struct Past<'a, T> {
+    /// Cells of the plane.
+    pub cells: &'a [T],
+    /// Shift of each block, in cells.
+    pub shifts: &'a [isize],
+}
+
+impl<T: Copy> Past<'_, T> {
+    /// Where cell `i` of block `k` was.
+    #[inline(always)]
+    #[must_use]
+    pub fn at(&self, k: usize, i: usize) -> usize {
+        i.wrapping_add_signed(self.shifts[k])
+    }
+}
+
+impl Past<'_, u8> {
+    /// Fill of the quad that begins at cell `first`.
+    fn quad(&self, k: usize, first: usize, stride: usize) -> Fill {
+        let first = self.at(k, first);
+        let sum: u8 = (0..QUAD)
+            .flat_map(|j| &self.cells[first + j * stride..][..QUAD])
+            .sum();
+        match usize::from(sum) {
+            0 => Fill::Empty,
+            n if n == QUAD * QUAD => Fill::Full,
+            _ => Fill::Mixed,
+        }
+    }
+}
+
 impl Fill {
     /// What `on` fills of `inside`, the pixels that lie in the image.
     fn of(on: u64, inside: u64) -> Self {
@@ -102,7 +135,7 @@ pub struct Mask {
     pub pixels: Plane<u8>,
     /// One for each block.
     pub fills: Vec<Fill>,
-    /// Of each block.
+    /// Four for each block.
     pub quads: Vec<[Fill; QUADS]>,
 }
 
@@ -214,7 +247,7 @@ pub fn code_quads<C: Coder>(
     models: &mut Models,
     rays: &Rays,
     mask: &mut Mask,
-    before: Option<&Mask>,
+    before: Option<Past<'_, u8>>,
     wanted: &[u64],
 ) {
     let (columns, blocks) = (rays.block_columns, rays.blocks());
@@ -255,7 +288,10 @@ pub fn code_quads<C: Coder>(
             let n = if low == 1 { quads[k][q - 2] } else { north[right] };
             let e = if right == 1 { east } else { Fill::Mixed };
             let s = if low == 1 { south } else { Fill::Mixed };
-            let past = before.map_or(3, |b| b.quads[k][q] as usize);
+            let past = before.map_or(3, |b| {
+                let first = pixels.index(x0 + QUAD * right, y0 + QUAD * low);
+                b.quad(k, first, pixels.stride()) as usize
+            });
             let around = [n, e, s].iter().fold(w as usize, |c, &f| c * 3 + f as usize);
             let context = around * 4 + past;
             let (full, empty) = (&mut models.full[context], &mut models.empty[context]);
@@ -279,7 +315,7 @@ pub fn code_pixels<C: Coder>(
     models: &mut Models,
     rays: &Rays,
     mask: &mut Mask,
-    before: Option<&Mask>,
+    before: Option<Past<'_, u8>>,
     wanted: &[u64],
 ) {
     let columns = rays.block_columns;
@@ -299,7 +335,7 @@ pub fn code_pixels<C: Coder>(
                 let start = mask.pixels.index(x0, y);
                 for j in 0..QUAD.min(rays.width - x0) {
                     let i = start + j;
-                    let cells = contexts(&mask.pixels, before.map(|b| &b.pixels), i);
+                    let cells = contexts(&mask.pixels, before.map(|b| (b.cells, b.at(k, i))), i);
                     let [a, b, c] = &mut models.pixel;
                     let read = mixer::code(
                         coder,
@@ -317,7 +353,7 @@ pub fn code_pixels<C: Coder>(
 /// Contexts of a pixel: six neighbours decoded already with three pixels of the last mask and what
 /// is known to the east and south; ten neighbours; the last mask all around.
 #[inline(always)]
-fn contexts(mask: &Plane<u8>, before: Option<&Plane<u8>>, i: usize) -> [usize; CONTEXTS] {
+fn contexts(mask: &Plane<u8>, before: Option<(&[u8], usize)>, i: usize) -> [usize; CONTEXTS] {
     let (p, s) = (mask.cells(), mask.stride());
     let bits = |p: &[u8], at: &[usize]| at.iter().fold(0, |c, &k| c << 1 | usize::from(p[k]));
     let near = bits(p, &[i - 1, i - 2, i - s - 1, i - s, i - s + 1, i - 2 * s]);
@@ -328,8 +364,7 @@ fn contexts(mask: &Plane<u8>, before: Option<&Plane<u8>>, i: usize) -> [usize; C
     );
     let (few, all) = match before {
         None => (8, 512),
-        Some(b) => {
-            let b = b.cells();
+        Some((b, i)) => {
             (
                 bits(b, &[i, i + 1, i + s]),
                 bits(

@@ -13,6 +13,7 @@ pub mod bins;
 mod choice;
 pub mod decoder;
 pub mod encoder;
+mod flow;
 pub mod grid;
 pub mod header;
 pub mod label_map;

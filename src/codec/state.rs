@@ -3,7 +3,8 @@
 use super::bins::Bins;
 use super::grid::Plane;
 use super::label_map::{self, Choice, LabelMap};
-use super::mask::{self, Fill, Mask};
+use super::flow;
+use super::mask::{self, Fill, Mask, Past};
 use super::palettes::{self, NewNumbers, NoSuchSphere};
 use super::range_coder::Coder;
 use super::residual::{self, Kind, Trace};
@@ -46,6 +47,8 @@ pub(super) struct State {
     pub new: NewNumbers,
     pub supports: Vec<Support>,
     pub bins: Bins,
+    /// Where the blocks were in the last frame, in cells.
+    pub shifts: Vec<isize>,
     /// Depth each measured pixel's sphere predicts, in depth integers; its negative where the pixel
     /// came back from a bin, 0 where that had no sphere.
     pub predicted: Plane<f32>,
@@ -160,7 +163,7 @@ impl State {
         coder: &mut C,
         rays: &Rays,
         reach: &Reach,
-        key: bool,
+        (key, motion): (bool, &Motion),
         wanted: &[u64],
         choice: &mut W,
     ) {
@@ -169,10 +172,19 @@ impl State {
             now,
             before,
             predicted,
+            shifts,
             ..
         } = self;
-        let past = (!key).then_some(&*before);
-        let masks = past.map(|b| &b.mask);
+        let stride = now.mask.pixels.stride();
+        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
+        let masks = (!key).then_some(Past {
+            cells: before.mask.pixels.cells(),
+            shifts,
+        });
+        let labels = (!key).then_some(Past {
+            cells: before.map.pixels.cells(),
+            shifts,
+        });
         mask::code_quads(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
         mask::code_pixels(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
         label_map::code(
@@ -182,7 +194,7 @@ impl State {
             reach,
             &now.mask,
             &mut now.map,
-            past.map(|b| &b.map),
+            labels,
             &Surfaces(&now.entries),
             predicted,
             choice,

@@ -96,6 +96,14 @@ pub struct Mover {
 }
 
 impl Mover {
+    /// Where the point `p` (metres) of this frame was in the last one: `Rᵀ·(p − t)`.
+    #[must_use]
+    pub fn back(&self, p: [f64; 3]) -> [f64; 3] {
+        let (c, t) = (self.r.to_cols_array_2d(), self.t.to_array());
+        let d = [p[0] - t[0], p[1] - t[1], p[2] - t[2]];
+        [0, 1, 2].map(|k| c[k][0] * d[0] + c[k][1] * d[1] + c[k][2] * d[2])
+    }
+
     /// The sphere where the motion takes it; `None` where that is through or behind the camera.
     #[must_use]
     pub fn sphere(&self, s: &Sphere) -> Option<Sphere> {

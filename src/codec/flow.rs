@@ -1,0 +1,50 @@
+//! Where the pixels of a block were in the last frame.
+//!
+//! The camera's motion and the depth of a block's first sphere tell it: mask and labels are
+//! predicted from there. Whole pixels, one shift for a block.
+
+use super::label_map::LabelMap;
+use super::sphere_table::Entry;
+use crate::deproject::{BLOCK, Rays};
+use crate::fit::motion::Motion;
+
+/// Shift of each block, in cells of a plane of this stride; all zero where the camera stands still.
+pub(super) fn shifts(
+    rays: &Rays,
+    map: &LabelMap,
+    entries: &[Option<Entry>],
+    motion: &Motion,
+    stride: usize,
+    out: &mut Vec<isize>,
+) {
+    out.clear();
+    out.resize(rays.blocks(), 0);
+    if motion.is_still() {
+        return;
+    }
+    let mover = motion.mover();
+    // ray steps of a pixel, from the single-precision table that all sides share
+    let du = f64::from(rays.u[1]) - f64::from(rays.u[0]);
+    let dv = f64::from(rays.v[1]) - f64::from(rays.v[0]);
+    for (k, out) in out.iter_mut().enumerate() {
+        let Some(Some(entry)) = entries.get(usize::from(map.palettes[k][0])) else {
+            continue;
+        };
+        let (x0, y0) = (
+            k % rays.block_columns * BLOCK,
+            k / rays.block_columns * BLOCK,
+        );
+        let (u, v) = (rays.u[x0 + BLOCK / 2], rays.v[y0 + BLOCK / 2]);
+        let w = entry.sphere.inverse_depth(u, v, u * u + v * v + 1.0);
+        let (u, v, z) = (f64::from(u), f64::from(v), 1.0 / f64::from(w));
+        let p = mover.back([u * z, v * z, z]);
+        // the whole block stays inside; NaN stays where it is
+        let shift = |by: f64, start: usize, size: usize| {
+            let by = (by + 0.5).floor() as isize;
+            by.clamp(-(start as isize), (size - BLOCK - start) as isize)
+        };
+        let sx = shift((p[0] / p[2] - u) / du, x0, rays.block_columns * BLOCK);
+        let sy = shift((p[1] / p[2] - v) / dv, y0, rays.block_rows * BLOCK);
+        *out = sy * stride as isize + sx;
+    }
+}
