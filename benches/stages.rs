@@ -54,13 +54,7 @@ impl Stream {
         }
         frames.pop();
         let fit = FitOptions::default();
-        let codec = CodecOptions {
-            keyframe_every: u32::MAX,
-            tolerance: Tolerance {
-                contact: fit.contact_distance,
-                lossless: false,
-            },
-        };
+        let codec = CodecOptions::fitted(fit.contact_distance, u32::MAX);
         Self {
             modeler: Modeler::new(&camera, &fit),
             encoder: Encoder::new(&camera, codec).unwrap(),
@@ -170,6 +164,7 @@ fn encode(bencher: Bencher<'_, '_>, key: bool) {
     };
     let options = CodecOptions {
         keyframe_every: if key { 1 } else { u32::MAX },
+        contact: tolerance.contact,
         tolerance,
     };
     let mut encoder = Encoder::new(&stream.camera, options).unwrap();

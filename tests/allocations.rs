@@ -11,7 +11,7 @@
 
 use saint_live::capture::FrameSource;
 use saint_live::capture::synthetic::{Scene, SyntheticOptions, SyntheticSource};
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, Tolerance};
+use saint_live::codec::{CodecOptions, EncodedFrame, Encoder};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::DepthFrame;
@@ -108,13 +108,7 @@ fn the_live_path_allocates_nothing_in_the_steady_state() {
     let camera = source.camera().clone();
     let fit = FitOptions::default();
     let mut modeler = Modeler::new(&camera, &fit);
-    let codec = CodecOptions {
-        keyframe_every: KEYFRAME_EVERY,
-        tolerance: Tolerance {
-            contact: fit.contact_distance,
-            lossless: false,
-        },
-    };
+    let codec = CodecOptions::fitted(fit.contact_distance, KEYFRAME_EVERY);
     let mut encoder = Encoder::new(&camera, codec).unwrap();
     let (mut frame, mut saint) = (DepthFrame::default(), SaintFrame::default());
     let mut encoded = EncodedFrame::default();

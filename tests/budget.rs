@@ -9,7 +9,7 @@
 
 use saint_live::capture::FrameSource;
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, Tolerance};
+use saint_live::codec::{CodecOptions, EncodedFrame, Encoder};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::DepthFrame;
@@ -125,13 +125,7 @@ fn run(scene: &str, piece_ns: Piece<'_>, late: Late) -> (Vec<FrameRecord>, Repor
     let mut source = SyntheticSource::open(SyntheticOptions::parse(&scene).unwrap()).unwrap();
     let camera = source.camera().clone();
     let fit = FitOptions::default();
-    let codec = CodecOptions {
-        keyframe_every: 30,
-        tolerance: Tolerance {
-            contact: fit.contact_distance,
-            lossless: false,
-        },
-    };
+    let codec = CodecOptions::fitted(fit.contact_distance, 30);
     let clock = WorkClock::default();
     let mut model = Fit {
         modeler: Modeler::new(&camera, &fit),

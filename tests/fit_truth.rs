@@ -6,7 +6,7 @@ use saint_live::capture::FrameSource;
 use saint_live::capture::synthetic::{
     NoiseModel, Scene, SceneTruth, SyntheticOptions, SyntheticSource,
 };
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, Tolerance};
+use saint_live::codec::{CodecOptions, EncodedFrame, Encoder};
 use saint_live::contact_map::labels::{NO_SPHERE, SaintFrame};
 use saint_live::deproject::Rays;
 use saint_live::fit::contact_distance::ContactDistance;
@@ -251,13 +251,7 @@ fn one_thread_and_two_give_the_same_frames_and_bytes() {
             let mut source = source(Scene::Walk, NoiseModel::Kinect);
             let camera = source.camera().clone();
             let mut modeler = Modeler::new(&camera, &FitOptions::default());
-            let with = CodecOptions {
-                keyframe_every: 30,
-                tolerance: Tolerance {
-                    contact: ContactDistance::default(),
-                    lossless: false,
-                },
-            };
+            let with = CodecOptions::fitted(ContactDistance::default(), 30);
             let mut encoder = Encoder::new(&camera, with).unwrap();
             let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
             (0..4)

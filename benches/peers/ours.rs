@@ -1,7 +1,7 @@
 //! Our own rows of the table: model, encode and decode with the state a stream has.
 
 use crate::Sample;
-use saint_live::codec::{CodecOptions, Decoder, EncodedFrame, Encoder, Tolerance};
+use saint_live::codec::{CodecOptions, Decoder, EncodedFrame, Encoder};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
@@ -45,13 +45,8 @@ pub struct Ours {
 impl Ours {
     pub fn new(camera: &Camera, cold: bool, lossless: bool) -> Result<Self, Box<dyn Error>> {
         let fit = FitOptions::default();
-        let codec = CodecOptions {
-            keyframe_every: KEYFRAME_EVERY,
-            tolerance: Tolerance {
-                contact: fit.contact_distance,
-                lossless,
-            },
-        };
+        let mut codec = CodecOptions::fitted(fit.contact_distance, KEYFRAME_EVERY);
+        codec.tolerance.lossless = lossless;
         Ok(Self {
             cold,
             lossless,

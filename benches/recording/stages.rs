@@ -2,7 +2,7 @@
 
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
 use saint_live::capture::{FrameSource, Next};
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, Tolerance};
+use saint_live::codec::{CodecOptions, EncodedFrame, Encoder};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
@@ -63,13 +63,7 @@ pub struct EncodeStage(pub Encoder);
 
 impl EncodeStage {
     pub fn new(camera: &Camera) -> Self {
-        let options = CodecOptions {
-            keyframe_every: KEYFRAME_EVERY,
-            tolerance: Tolerance {
-                contact: FitOptions::default().contact_distance,
-                lossless: false,
-            },
-        };
+        let options = CodecOptions::fitted(FitOptions::default().contact_distance, KEYFRAME_EVERY);
         Self(Encoder::new(camera, options).unwrap())
     }
 }

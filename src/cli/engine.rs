@@ -2,7 +2,7 @@
 
 use super::args::{DomainArg, EngineArgs, MapArgs, PackingArg, SchemeArg};
 use super::failure::{Failure, Kind};
-use saint_live::codec::{CodecOptions, Domain, EncodedFrame, Encoder, Tolerance, polar};
+use saint_live::codec::{CodecOptions, Domain, EncodedFrame, Encoder, polar};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::contact_map::polar_frame::{PolarMapper, default_step_m};
 use saint_live::fit::cloud::{FitParameters, Scheme};
@@ -139,15 +139,12 @@ impl Engine {
             }
             DomainArg::Sensor => None,
         };
-        let codec = CodecOptions {
-            keyframe_every: args.keyframe_every.unwrap_or(KEYFRAME_EVERY),
-            tolerance: Tolerance {
-                contact: args
-                    .max_error
-                    .map_or(contact, |most| ContactDistance::constant(most.0)),
-                lossless: args.lossless,
-            },
-        };
+        let every = args.keyframe_every.unwrap_or(KEYFRAME_EVERY);
+        let mut codec = CodecOptions::fitted(contact, every);
+        codec.tolerance.lossless = args.lossless;
+        if let Some(most) = args.max_error {
+            codec.tolerance.contact = ContactDistance::constant(most.0);
+        }
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         Ok(Self {
             fit,

@@ -1,10 +1,10 @@
 //! Payloads to depth frames, spheres and contact maps.
 
 use super::header::{Header, Stream};
+use super::label_map::AsRead;
 use super::range_coder::Decoder as RangeDecoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Support};
-use super::label_map::AsRead;
 use super::state::State;
 use super::surface::BEYOND;
 use super::{CodecError, residual};
@@ -127,11 +127,12 @@ impl Decoder {
         if !key {
             state.follow(&header.motion);
         }
-        let read = read_sections(state, rays, reach, (key, &header.motion), sections).and_then(|()| {
-            state.rebuild(rays);
-            let lossless = stream.tolerance.lossless;
-            rebuild(state, rays, key, sections[3], lossless, reach)
-        });
+        let read =
+            read_sections(state, rays, reach, (key, &header.motion), sections).and_then(|()| {
+                state.rebuild(rays);
+                let lossless = stream.tolerance.lossless;
+                rebuild(state, rays, key, sections[3], lossless, reach)
+            });
         if let Err(error) = read {
             // planes left half filled would be read by the next frame, even by a key frame
             *state = State::default();

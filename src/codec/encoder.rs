@@ -1,10 +1,10 @@
 //! SAINT frames to payloads.
 
+use super::choice::{Cheapest, Errors};
 use super::header::{Header, Stream, Tolerance};
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
-use super::choice::{Cheapest, Errors};
 use super::state::{MAX_SPHERES, State};
 use super::surface::to_integer;
 use super::{CodecError, EncodedFrame, mask, palette_choice, residual};
@@ -26,6 +26,27 @@ pub struct CodecOptions {
     pub tolerance: Tolerance,
     /// The contact distance of the fit: errors are weighed by it, and spheres stated as finely.
     pub contact: ContactDistance,
+}
+
+/// The bound, in contact distances, where none is asked for. Within the contact distance lie all but
+/// a few readings of a surface; the bound says from where on a reading is coded by itself. At 2.5
+/// contact distances that costs a quarter fewer bits than at one, for a mean error 6 % larger
+/// (Kinect and D435 sequences).
+pub const DEFAULT_BOUND: f64 = 2.5;
+
+impl CodecOptions {
+    /// Options for spheres fitted to `contact`, with the default bound.
+    #[must_use]
+    pub fn fitted(contact: ContactDistance, keyframe_every: u32) -> Self {
+        Self {
+            keyframe_every,
+            tolerance: Tolerance {
+                contact: contact.scaled(DEFAULT_BOUND),
+                lossless: false,
+            },
+            contact,
+        }
+    }
 }
 
 /// What one frame cost.
@@ -245,7 +266,15 @@ impl Encoder {
             if *size > 1 {
                 let at = (k, measured);
                 let left = usize::from(*size);
-                let left = palette_choice::prune(saint, &self.rays, &errors, at, &self.blocks, palette, left);
+                let left = palette_choice::prune(
+                    saint,
+                    &self.rays,
+                    &errors,
+                    at,
+                    &self.blocks,
+                    palette,
+                    left,
+                );
                 *size = left as u8;
             }
         }
@@ -311,8 +340,14 @@ impl Encoder {
             contact: &self.contact,
         };
         let mut choice = Cheapest::new(rays, errors, measured, &mut self.hits);
-        self.state
-            .code_pixels(&mut coder, rays, reach, (key, motion), measured, &mut choice);
+        self.state.code_pixels(
+            &mut coder,
+            rays,
+            reach,
+            (key, motion),
+            measured,
+            &mut choice,
+        );
         coder.finish();
     }
 

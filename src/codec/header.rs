@@ -125,7 +125,7 @@ pub struct Header {
     pub motion: Motion,
     /// True where the latency budget cut the fit short.
     pub degraded: bool,
-    /// Bytes of each section: mask, labels, spheres, residual.
+    /// Bytes of each section: blocks, spheres, pixels, residual.
     pub sections: [usize; SECTIONS],
 }
 

@@ -245,12 +245,18 @@ impl Block<'_> {
             return;
         }
         // the labels of the quad as a whole look like its upper left middle
-        let past = self.before.map(|b| b.cells[b.at(self.k, first + 1 + stride)]);
+        let past = self
+            .before
+            .map(|b| b.cells[b.at(self.k, first + 1 + stride)]);
         let near = [
             cells[first - 1 + stride],
             cells[first + 1 - stride],
             cells[first - 1 - stride],
-            if q == 3 { cells[first + 3 - stride] } else { cells[first + 4 - stride] },
+            if q == 3 {
+                cells[first + 3 - stride]
+            } else {
+                cells[first + 4 - stride]
+            },
             past.unwrap_or(NO_SPHERE),
         ];
         let mut nodes = [0usize; NODES];
@@ -391,7 +397,8 @@ impl Block<'_> {
                 costs[e] = far;
                 if e + 1 < self.size {
                     let at = contexts[e];
-                    let p = mixer::chance([&a[at[0]], &b[at[1]], &c[at[2]]], &models.weights[sets[e]]);
+                    let p =
+                        mixer::chance([&a[at[0]], &b[at[1]], &c[at[2]]], &models.weights[sets[e]]);
                     costs[e] += super::range_coder::cost(p, true);
                     far += super::range_coder::cost(p, false);
                 }
@@ -418,7 +425,11 @@ impl Block<'_> {
     /// not, 2 where that lies outside the block.
     #[inline(always)]
     fn cross(&self, e: usize, bit: usize, back: usize) -> usize {
-        let edge = if back == 1 { bit.is_multiple_of(BLOCK) } else { bit < BLOCK };
+        let edge = if back == 1 {
+            bit.is_multiple_of(BLOCK)
+        } else {
+            bit < BLOCK
+        };
         if edge {
             return 2;
         }

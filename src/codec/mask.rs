@@ -284,15 +284,25 @@ pub fn code_quads<C: Coder>(
                 continue;
             }
             let (right, low) = (q & 1, q >> 1);
-            let w = if right == 1 { quads[k][q - 1] } else { west[low] };
-            let n = if low == 1 { quads[k][q - 2] } else { north[right] };
+            let w = if right == 1 {
+                quads[k][q - 1]
+            } else {
+                west[low]
+            };
+            let n = if low == 1 {
+                quads[k][q - 2]
+            } else {
+                north[right]
+            };
             let e = if right == 1 { east } else { Fill::Mixed };
             let s = if low == 1 { south } else { Fill::Mixed };
             let past = before.map_or(3, |b| {
                 let first = pixels.index(x0 + QUAD * right, y0 + QUAD * low);
                 b.quad(k, first, pixels.stride()) as usize
             });
-            let around = [n, e, s].iter().fold(w as usize, |c, &f| c * 3 + f as usize);
+            let around = [n, e, s]
+                .iter()
+                .fold(w as usize, |c, &f| c * 3 + f as usize);
             let context = around * 4 + past;
             let (full, empty) = (&mut models.full[context], &mut models.empty[context]);
             let fill = code_fill(coder, full, empty, Fill::of(on, here));
@@ -364,25 +374,23 @@ fn contexts(mask: &Plane<u8>, before: Option<(&[u8], usize)>, i: usize) -> [usiz
     );
     let (few, all) = match before {
         None => (8, 512),
-        Some((b, i)) => {
-            (
-                bits(b, &[i, i + 1, i + s]),
-                bits(
-                    b,
-                    &[
-                        i - s - 1,
-                        i - s,
-                        i - s + 1,
-                        i - 1,
-                        i,
-                        i + 1,
-                        i + s - 1,
-                        i + s,
-                        i + s + 1,
-                    ],
-                ),
-            )
-        }
+        Some((b, i)) => (
+            bits(b, &[i, i + 1, i + s]),
+            bits(
+                b,
+                &[
+                    i - s - 1,
+                    i - s,
+                    i - s + 1,
+                    i - 1,
+                    i,
+                    i + 1,
+                    i + s - 1,
+                    i + s,
+                    i + s + 1,
+                ],
+            ),
+        ),
     };
     [
         near << 6 | few << 2 | ahead,

@@ -1,8 +1,11 @@
 //! The frame payload: a SAINT frame as bytes (`FORMAT.md`).
 //!
-//! Reading order: [`header`], then the four sections [`mask`], [`label_map`], [`sphere_table`],
-//! [`residual`] (on [`bins`] and the [`mixer`]), each a model written once for both directions over the [`range_coder`]; then
-//! [`encoder`] and [`decoder`], which walk them in the same order.
+//! Reading order, that of the payload: [`header`]; section *blocks*, which spheres a block touches
+//! ([`mask`] for its fill, [`palettes`]); section *spheres* ([`sphere_table`]); section *pixels*,
+//! which of them each pixel touches ([`mask`], [`label_map`], from the last frame by `flow`);
+//! section *residual*, what spheres do not give back ([`residual`] in [`bins`]). Each is a model
+//! written once for both directions over the [`range_coder`] and the [`mixer`]; [`encoder`] (with
+//! `palette_choice` and `choice`) and [`decoder`] walk them in the same order.
 
 pub mod merged;
 pub mod polar;

@@ -108,7 +108,9 @@ pub(super) fn prune(
             let other = others.min().unwrap_or(u16::MAX);
             loss += u32::from(other.saturating_sub(prices[entry][i]));
         }
-        let blocks = blocks.get(usize::from(palette[entry])).map_or(1, |&n| n.max(1));
+        let blocks = blocks
+            .get(usize::from(palette[entry]))
+            .map_or(1, |&n| n.max(1));
         if loss < ENTRY_COST + SPHERE_COST / blocks {
             for e in entry..size - 1 {
                 palette[e] = palette[e + 1];

@@ -67,8 +67,11 @@ impl Support {
                     let north = (y > 0).then(|| map.palettes[k - rays.block_columns][0]);
                     let s = &mut out[usize::from(id)];
                     if s.beside == NO_SPHERE {
-                        let mut around = west.into_iter().chain(north).chain(palette.iter().copied());
-                        s.beside = around.find(|&b| b != id && b != NO_SPHERE).unwrap_or(NO_SPHERE);
+                        let mut around =
+                            west.into_iter().chain(north).chain(palette.iter().copied());
+                        s.beside = around
+                            .find(|&b| b != id && b != NO_SPHERE)
+                            .unwrap_or(NO_SPHERE);
                     }
                     s.low = (s.low.0.min(x), s.low.1.min(y));
                     s.high = (s.high.0.max(x), s.high.1.max(y));
@@ -78,7 +81,12 @@ impl Support {
     }
 
     /// The entry beside this one: as stated already in this frame, else as the reference frame has it.
-    pub fn beside(&self, now: &[Option<Entry>], before: &[Option<Entry>], number: usize) -> Option<Entry> {
+    pub fn beside(
+        &self,
+        now: &[Option<Entry>],
+        before: &[Option<Entry>],
+        number: usize,
+    ) -> Option<Entry> {
         let k = usize::from(self.beside);
         let stated = now[..number].get(k).copied().flatten();
         stated.or_else(|| before.get(k).copied().flatten())
@@ -286,8 +294,11 @@ pub fn code_entry<C: Coder>(
         && {
             let guess = chart.quantise(&beside.sphere, step);
             let size = |n: i32| 32 - n.unsigned_abs().leading_zeros();
-            let on: u32 = (0..4).map(|k| size(numbers[k].wrapping_sub(guess[k]))).sum();
-            let anew: u32 = size(numbers[0].wrapping_sub(guess[0])) + (1..4).map(|k| size(numbers[k])).sum::<u32>();
+            let on: u32 = (0..4)
+                .map(|k| size(numbers[k].wrapping_sub(guess[k])))
+                .sum();
+            let anew: u32 = size(numbers[0].wrapping_sub(guess[0]))
+                + (1..4).map(|k| size(numbers[k])).sum::<u32>();
             coder.bit(&mut models.runs_on, on < anew)
         }
     {
@@ -302,7 +313,9 @@ pub fn code_entry<C: Coder>(
         }
     } else {
         // depth runs on from the sphere before, tilt and curvature do not
-        let guess = beside.or(*last).map_or(0, |l| chart.quantise(&l.sphere, step)[0]);
+        let guess = beside
+            .or(*last)
+            .map_or(0, |l| chart.quantise(&l.sphere, step)[0]);
         read[0] = add(
             guess,
             models.fresh[0].code_signed(coder, clamp(numbers[0] - guess)),

@@ -1,9 +1,9 @@
 //! What encoder and decoder both carry from frame to frame, and the prediction both compute.
 
 use super::bins::Bins;
+use super::flow;
 use super::grid::Plane;
 use super::label_map::{self, Choice, LabelMap};
-use super::flow;
 use super::mask::{self, Fill, Mask, Past};
 use super::palettes::{self, NewNumbers, NoSuchSphere};
 use super::range_coder::Coder;

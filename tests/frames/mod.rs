@@ -114,6 +114,7 @@ pub fn options(contact: ContactDistance, lossless: bool, keyframe_every: u32) ->
     CodecOptions {
         keyframe_every,
         tolerance: Tolerance { contact, lossless },
+        contact,
     }
 }
 
