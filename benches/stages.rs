@@ -165,6 +165,7 @@ fn encode(bencher: Bencher<'_, '_>, key: bool) {
     let options = CodecOptions {
         keyframe_every: if key { 1 } else { u32::MAX },
         contact: tolerance.contact,
+        smooth_mask: false,
         tolerance,
     };
     let mut encoder = Encoder::new(&stream.camera, options).unwrap();

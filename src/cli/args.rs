@@ -1,7 +1,7 @@
 //! The arguments as they are typed.
 
 use super::values::{
-    Length, duration, duration_or_zero, factor, length, length_or_zero, size, split,
+    Length, bitrate, duration, duration_or_zero, factor, length, length_or_zero, size, split,
 };
 use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -223,6 +223,18 @@ pub struct EngineArgs {
     /// Give every depth integer back exactly.
     #[arg(long)]
     pub lossless: bool,
+    /// 1 to 100: scales the contact distance, 50 is the usual one, 62 about half, 38 about twice.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=100),
+        conflicts_with_all = ["contact_distance", "max_error", "lossless", "bitrate"])]
+    pub quality: Option<u8>,
+    /// Bits per second to keep to, by scaling the contact distance once a key-frame interval: 2M, 800k.
+    #[arg(long, value_name = "RATE", value_parser = bitrate,
+        conflicts_with_all = ["max_error", "lossless"])]
+    pub bitrate: Option<f64>,
+    /// Smooth the mask of measured pixels where it is noise. Few pixels are lost or invented along
+    /// edges; the lost ones are counted.
+    #[arg(long, conflicts_with = "lossless")]
+    pub smooth_mask: bool,
     /// How far from its sphere a point may lie: 5mm, or 12mm+4e-3z2 (the default: the larger of
     /// 12 mm and 0.004 times the squared depth).
     #[arg(long, value_name = "LENGTH[+Kz2]")]
@@ -444,6 +456,9 @@ pub struct ExportArgs {
     /// Form of the files.
     #[arg(long, value_enum)]
     pub to: ExportArg,
+    /// How much of each payload is decoded.
+    #[arg(long, value_enum, default_value_t)]
+    pub level: LevelArg,
     /// Folder for one file per frame, or a file name for a single frame.
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,
@@ -469,6 +484,18 @@ pub struct ExportArgs {
     /// Of a model: this object only.
     #[arg(long, value_name = "NAME")]
     pub object: Option<String>,
+}
+
+/// How much of a payload is decoded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum LevelArg {
+    /// One sphere for each block of 8x8 pixels.
+    Blocks,
+    /// Each pixel on its sphere; pixels of none are missing.
+    Spheres,
+    /// All: each pixel within its bound.
+    #[default]
+    Full,
 }
 
 /// Form of exported files.

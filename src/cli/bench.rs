@@ -5,7 +5,7 @@
 //! stays continuous. Times are of one frame from the first to the last stage, without queues.
 
 use super::args::{BenchArgs, MapArgs};
-use super::engine::{EncodeStage, Engine, ModelStage};
+use super::engine::{self, Engine};
 use super::failure::{Failure, Kind};
 use super::machine::{self, Machine};
 use super::source::{self, InputOptions};
@@ -222,8 +222,8 @@ fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold,
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     let step = frames.len().div_ceil(COLD_FRAMES);
     for frame in frames.iter().step_by(step) {
-        let mut model = ModelStage::new(camera, engine)?;
-        let mut encode = EncodeStage::new(camera, engine)?.unsampled();
+        let (mut model, encode) = engine::stages(camera, engine)?;
+        let mut encode = encode.unsampled();
         let start = Monotonic.now_ns();
         let report = model
             .model(frame, &mut saint, &|| false)
@@ -308,8 +308,8 @@ fn warm(
 ) -> Result<Warm, Failure> {
     let mut warm = Warm::new()?;
     let validity = Validity::new(camera);
-    let mut model = ModelStage::new(camera, engine)?;
-    let mut encode = EncodeStage::new(camera, engine)?.unsampled();
+    let (mut model, encode) = engine::stages(camera, engine)?;
+    let mut encode = encode.unsampled();
     let mut decoder = Decoder::new();
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     // the first frame is a cold one: it warms up and is not counted

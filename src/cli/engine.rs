@@ -17,8 +17,10 @@ use saint_live::pipeline::stages::{Encode, Model};
 use saint_live::recording::CONTACT_MAP_NOTE;
 use std::collections::BTreeMap;
 
+mod rate;
 mod residual;
 
+use rate::{Plan, Rate};
 use residual::Sampler;
 
 /// Key frames come at least so often: a second at the usual rate.
@@ -51,8 +53,12 @@ impl Fit {
             (Some(most), _) => Some(most.0),
             (None, lossless) => lossless.then_some(0.0),
         };
+        let quality = args.quality.map(|quality| {
+            ContactDistance::default().scaled(2f64.powf((50.0 - f64::from(quality)) / 12.5))
+        });
         let contact = args
             .contact_distance
+            .or(quality)
             .or(bound_m.map(ContactDistance::for_bound))
             .unwrap_or_default();
         let packing = match args.packing {
@@ -113,6 +119,8 @@ pub struct Engine {
     pub codec: CodecOptions,
     /// Side of the polar map's cells, metres, where the contact map is polar.
     pub polar_step_m: Option<f64>,
+    /// Bits per second to keep to.
+    pub bitrate: Option<f64>,
     /// Threads, at least 1.
     pub threads: usize,
 }
@@ -122,6 +130,14 @@ impl Engine {
     pub fn resolve(args: &EngineArgs, map: &MapArgs) -> Result<Self, Failure> {
         let fit = Fit::resolve(args)?;
         let contact = fit.contact_distance();
+        if args.bitrate.is_some() {
+            let live = matches!(fit, Fit::Live(_)) && map.contact_map == DomainArg::Sensor;
+            if !live {
+                return Err(Failure::usage(
+                    "--bitrate goes with --scheme live and --contact-map sensor only",
+                ));
+            }
+        }
         let polar_step_m = match map.contact_map {
             DomainArg::Polar if args.lossless || args.max_error.is_some() => {
                 return Err(Failure::usage(
@@ -142,6 +158,7 @@ impl Engine {
         let every = args.keyframe_every.unwrap_or(KEYFRAME_EVERY);
         let mut codec = CodecOptions::fitted(contact, every);
         codec.tolerance.lossless = args.lossless;
+        codec.smooth_mask = args.smooth_mask;
         if let Some(most) = args.max_error {
             codec.tolerance.contact = ContactDistance::constant(most.0);
         }
@@ -150,6 +167,7 @@ impl Engine {
             fit,
             codec,
             polar_step_m,
+            bitrate: args.bitrate,
             threads: args.threads.map_or(cores, usize::from),
         })
     }
@@ -215,8 +233,23 @@ impl Engine {
     }
 }
 
+/// The stages of one camera, bound by the rate control where there is one.
+pub fn stages(camera: &Camera, engine: &Engine) -> Result<(ModelStage, EncodeStage), Failure> {
+    let mut model = ModelStage::new(camera, engine)?;
+    let mut encode = EncodeStage::new(camera, engine)?;
+    if let Some(bits_per_s) = engine.bitrate {
+        let (plan, rate) = rate::link(bits_per_s, &engine.codec);
+        model.plan = Some(plan);
+        encode.rate = Some(rate);
+    }
+    Ok((model, encode))
+}
+
 /// The model stage.
-pub struct ModelStage(Modelling);
+pub struct ModelStage {
+    modelling: Modelling,
+    plan: Option<Plan>,
+}
 
 enum Modelling {
     Live(Box<Modeler>),
@@ -224,16 +257,19 @@ enum Modelling {
 }
 
 impl ModelStage {
-    /// For frames of `camera`.
-    pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
-        Ok(Self(match &engine.fit {
+    fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
+        let modelling = match &engine.fit {
             Fit::Live(options) => Modelling::Live(Box::new(Modeler::new(camera, options))),
             Fit::Framewise(parameters) => Modelling::Framewise(
                 FrameFit::new(camera, parameters)
                     .map(Box::new)
                     .map_err(|error| Failure::new(Kind::Usage, error))?,
             ),
-        }))
+        };
+        Ok(Self {
+            modelling,
+            plan: None,
+        })
     }
 }
 
@@ -255,8 +291,13 @@ impl Model for ModelStage {
         saint: &mut SaintFrame,
         deadline: &dyn Fn() -> bool,
     ) -> Result<ModelReport, StageError> {
-        Ok(model_report(&match &mut self.0 {
-            Modelling::Live(modeler) => modeler.model(depth, saint, deadline),
+        Ok(model_report(&match &mut self.modelling {
+            Modelling::Live(modeler) => {
+                if let Some(distance) = self.plan.as_mut().and_then(Plan::next) {
+                    modeler.set_contact_distance(&distance);
+                }
+                modeler.model(depth, saint, deadline)
+            }
             Modelling::Framewise(fit) => fit.model(depth, saint, deadline)?,
         }))
     }
@@ -267,6 +308,7 @@ pub struct EncodeStage {
     coding: Coding,
     /// Looks at errors; not where they are measured otherwise, or are none.
     sampler: Option<Sampler>,
+    rate: Option<Rate>,
 }
 
 enum Coding {
@@ -275,8 +317,7 @@ enum Coding {
 }
 
 impl EncodeStage {
-    /// For frames of `camera`.
-    pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
+    fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
         let coding = match engine.polar_step_m {
             Some(step_m) => Coding::Polar(Box::new(PolarMapper::new(camera, step_m as f32))),
             None => Coding::Sensor(
@@ -288,6 +329,7 @@ impl EncodeStage {
         Ok(Self {
             coding,
             sampler: (!engine.codec.tolerance.lossless).then(|| Sampler::new(camera)),
+            rate: None,
         })
     }
 
@@ -308,8 +350,14 @@ impl Encode for EncodeStage {
     ) -> Result<CodingReport, StageError> {
         let lost = match &mut self.coding {
             Coding::Sensor(encoder) => {
-                encoder.encode(depth, saint, modelled.degraded, encoded)?;
-                0
+                if let Some(distance) = self.rate.as_mut().and_then(Rate::next) {
+                    encoder.set_contact_distance(distance);
+                }
+                let report = encoder.encode(depth, saint, modelled.degraded, encoded)?;
+                if let Some(rate) = &mut self.rate {
+                    rate.observe(encoded);
+                }
+                report.lost_pixels
             }
             Coding::Polar(mapper) => {
                 let (map, lost) = mapper.map(depth, saint)?;

@@ -54,6 +54,7 @@ pub fn run(args: &ExportArgs, quiet: bool) -> Result<(), Failure> {
         None if args.merge => merge::first(&args.file)?,
         None => Tape::open(&args.file)?,
     };
+    tape.decode_at(args.level);
     let mut others = match args.merge {
         true => {
             format.check_union()?;

@@ -18,6 +18,7 @@ const FREE_ROWS: u32 = 1;
 pub fn run(args: &PlayArgs) -> Result<(), Failure> {
     let stop = signals::stop_flag()?;
     let mut tape = Tape::open(&args.file)?;
+    tape.decode_at(args.level);
     if tape.frames() == 0 {
         return Err(Failure::new(
             Kind::Input,

@@ -1,7 +1,7 @@
 //! Live capture and replay: the same pipeline behind two kinds of source.
 
 use super::args::{LateArg, LiveArgs, ReplayArgs, StreamArgs};
-use super::engine::{EncodeStage, Engine, ModelStage};
+use super::engine::{self, Engine};
 use super::failure::{Failure, Kind};
 use super::sink;
 use super::source::{self, InputOptions};
@@ -192,8 +192,7 @@ impl<'a> Run<'a> {
             source::introduce(source);
         }
         self.engine.start_workers()?;
-        let mut model = ModelStage::new(&camera, &self.engine)?;
-        let mut encode = EncodeStage::new(&camera, &self.engine)?;
+        let (mut model, mut encode) = engine::stages(&camera, &self.engine)?;
         let mut output = sink::open(self.stream, &camera, self.all_notes(source))?;
         let trace = self.trace()?;
         let options = self.options(&camera, pace);

@@ -1,7 +1,8 @@
 //! A recording of ours, decoded frame by frame: what replay, play and export read.
 
+use super::args::LevelArg;
 use super::failure::{Failure, Kind};
-use saint_live::codec::{CodecError, Domain, EncodedFrame, Payload, PayloadDecoder};
+use saint_live::codec::{CodecError, Domain, EncodedFrame, Level, Payload, PayloadDecoder};
 use saint_live::contact_map::merged::ClaimMap;
 use saint_live::export::{ExportCloud, ExportFrame};
 use saint_live::fit::sphere::Sphere;
@@ -77,6 +78,15 @@ impl Tape {
             polar: None,
             fault: None,
         }
+    }
+
+    /// Decodes this much of each payload. To be said before the first frame.
+    pub fn decode_at(&mut self, level: LevelArg) {
+        self.decoder = PayloadDecoder::at(match level {
+            LevelArg::Blocks => Level::Blocks,
+            LevelArg::Spheres => Level::Spheres,
+            LevelArg::Full => Level::Full,
+        });
     }
 
     /// Names of all cameras; the only one may have none.

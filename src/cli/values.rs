@@ -94,6 +94,19 @@ pub fn duration_or_zero(text: &str) -> Result<Duration, String> {
     }
 }
 
+/// Reads a bit rate: `2M`, `800k`, `1.5Mbit`, or bits per second without a unit.
+pub fn bitrate(text: &str) -> Result<f64, String> {
+    let text = text
+        .trim()
+        .trim_end_matches("bit/s")
+        .trim_end_matches("bit");
+    match number_with_unit(text, &[("k", 1e-3), ("M", 1e-6)], Some(1.0)) {
+        Some(rate) if rate.is_finite() && rate >= 1000.0 => Ok(rate),
+        Some(rate) => Err(format!("{rate} bits per second are too few; at least 1k")),
+        None => Err("a bit rate is a number with a unit: 2M, 800k".to_owned()),
+    }
+}
+
 /// Reads where a recording is split: a size (`4GB`, `500MB`, `64MiB`) or a time (`10min`).
 pub fn split(text: &str) -> Result<Split, String> {
     let units = [

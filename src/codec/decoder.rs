@@ -1,16 +1,17 @@
 //! Payloads to depth frames, spheres and contact maps.
 
-use super::header::{Header, Stream};
+use super::header::{self, Header, Stream};
 use super::label_map::AsRead;
+use super::mask::{self, Fill};
 use super::range_coder::Decoder as RangeDecoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Support};
 use super::state::State;
-use super::surface::BEYOND;
+use super::surface::{self, BEYOND, Surfaces};
 use super::{CodecError, residual};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
-use crate::deproject::Rays;
+use crate::deproject::{BLOCK, Rays};
 use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, FrameTime};
@@ -65,12 +66,38 @@ impl Default for DecodedFrame {
     }
 }
 
+/// How much of a payload is decoded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// One sphere for each block of 8×8 pixels: the first of its palette. Blocks with any measurement
+    /// count as measured.
+    Blocks,
+    /// Each measured pixel on its sphere, however far from it the sensor saw something. Pixels of no
+    /// sphere are missing.
+    Spheres,
+    /// All: every pixel within its bound.
+    #[default]
+    Full,
+}
+
+impl Level {
+    /// Sections that are read.
+    const fn sections(self) -> usize {
+        match self {
+            Self::Blocks => 2,
+            Self::Spheres => 3,
+            Self::Full => header::SECTIONS,
+        }
+    }
+}
+
 /// The decoder with its reference frame and buffers.
 ///
 /// Memory is bounded by the frame size the last key frame named (at most 2²³ pixels, about 30
 /// bytes each); time by the same. No bytes make it panic.
 #[derive(Debug, Default)]
 pub struct Decoder {
+    level: Level,
     stream: Option<(Stream, Rays, Reach)>,
     state: State,
     last_sequence: Option<u64>,
@@ -84,22 +111,44 @@ impl Decoder {
         Self::default()
     }
 
+    /// A decoder of coarser frames, which waits for a key frame. It reads less and is faster, and takes
+    /// payloads that were cut behind what it reads; the checksum of those cannot be verified.
+    #[must_use]
+    pub fn at(level: Level) -> Self {
+        Self {
+            level,
+            ..Self::default()
+        }
+    }
+
     /// Decodes one payload.
     ///
     /// # Errors
     /// [`CodecError`]; after one the decoder waits for the next key frame.
     pub fn decode(&mut self, payload: &[u8]) -> Result<&DecodedFrame, CodecError> {
         let reference = self.last_sequence.take();
-        let body = payload.len().checked_sub(4).ok_or(CodecError::Truncated {
-            need: 4,
-            have: payload.len(),
-        })?;
-        let (bytes, checksum) = payload.split_at(body);
-        let found = u32::from_le_bytes([checksum[0], checksum[1], checksum[2], checksum[3]]);
-        let (header, sections) = Header::read(bytes)?;
-        let computed = crc32fast::hash(bytes);
-        if found != computed {
-            return Err(CodecError::Checksum { found, computed });
+        let (header, sections, end) = Header::read(payload, self.level.sections())?;
+        match payload.get(end..).map(<[u8]>::first_chunk) {
+            Some(Some(checksum)) if payload.len() == end + checksum.len() => {
+                let found = u32::from_le_bytes(*checksum);
+                let computed = crc32fast::hash(&payload[..end]);
+                if found != computed {
+                    return Err(CodecError::Checksum { found, computed });
+                }
+            }
+            Some(Some(_)) => {
+                return Err(CodecError::Corrupt {
+                    at: end,
+                    what: "bytes follow the checksum",
+                });
+            }
+            _ if self.level == Level::Full => {
+                return Err(CodecError::Truncated {
+                    need: end.saturating_add(4),
+                    have: payload.len(),
+                });
+            }
+            _ => {}
         }
         let key = header.stream.is_some();
         if let Some(stream) = header.stream {
@@ -127,18 +176,25 @@ impl Decoder {
         if !key {
             state.follow(&header.motion);
         }
-        let read =
-            read_sections(state, rays, reach, (key, &header.motion), sections).and_then(|()| {
-                state.rebuild(rays);
-                let lossless = stream.tolerance.lossless;
-                rebuild(state, rays, key, sections[3], lossless, reach)
-            });
+        let level = self.level;
+        let moved = (key, &header.motion);
+        let read = read_sections(state, rays, reach, moved, sections, level).and_then(|()| {
+            if level < Level::Full {
+                return Ok(());
+            }
+            state.rebuild(rays);
+            let lossless = stream.tolerance.lossless;
+            rebuild(state, rays, key, sections[3], lossless, reach)
+        });
         if let Err(error) = read {
             // planes left half filled would be read by the next frame, even by a key frame
             *state = State::default();
             return Err(error);
         }
-        write_frame(&mut self.frame, state, rays, stream, reach);
+        match level {
+            Level::Full => write_frame(&mut self.frame, state, rays, stream, reach),
+            _ => write_coarse(&mut self.frame, state, rays, level),
+        }
         self.frame.sequence = header.sequence;
         self.frame.time = header.time;
         self.frame.degraded = header.degraded;
@@ -163,7 +219,8 @@ fn read_sections(
     rays: &Rays,
     reach: &Reach,
     (key, motion): (bool, &Motion),
-    sections: [&[u8]; 4],
+    sections: [&[u8]; header::SECTIONS],
+    level: Level,
 ) -> Result<(), CodecError> {
     let mut coder = RangeDecoder::new(sections[0]);
     state
@@ -202,6 +259,9 @@ fn read_sections(
         }
     }
     overrun(&coder)?;
+    if level == Level::Blocks {
+        return Ok(());
+    }
     let mut coder = RangeDecoder::new(sections[2]);
     state.code_pixels(&mut coder, rays, reach, (key, motion), &[], &mut AsRead);
     overrun(&coder)
@@ -254,6 +314,48 @@ fn rebuild(
         |_, _, _| (0, true),
     );
     overrun(&coder)
+}
+
+/// A frame of spheres only: of each block's first one, or of each pixel's.
+fn write_coarse(frame: &mut DecodedFrame, state: &State, rays: &Rays, level: Level) {
+    let now = &state.now;
+    frame.depth_m.clear();
+    frame.depth_m.resize(rays.width * rays.height, 0.0);
+    frame.labels.clear();
+    frame.labels.resize(rays.width * rays.height, INVALID);
+    let surfaces = Surfaces(&now.entries);
+    let mut depths = surface::NOTHING;
+    for k in 0..rays.blocks() {
+        if now.mask.fills[k] == Fill::Empty {
+            continue;
+        }
+        if level == Level::Blocks {
+            surfaces.depths(rays, k, now.map.palettes[k][0], &mut depths);
+        }
+        let (x0, y0, w, h) = mask::extent(rays, k);
+        for j in 0..h {
+            let start = now.mask.pixels.index(x0, y0 + j);
+            for i in 0..w {
+                let (depth, label) = if level == Level::Blocks {
+                    (depths[j * BLOCK + i], now.map.palettes[k][0])
+                } else if now.mask.pixels.cells()[start + i] != 0 {
+                    let label = now.map.pixels.cells()[start + i];
+                    (state.predicted.cells()[start + i], label)
+                } else {
+                    continue;
+                };
+                if label != NO_SPHERE && depth > 0.0 && depth < BEYOND {
+                    let at = (y0 + j) * rays.width + x0 + i;
+                    frame.depth_m[at] = depth * rays.unit;
+                    frame.labels[at] = label;
+                }
+            }
+        }
+    }
+    frame.spheres.clear();
+    frame
+        .spheres
+        .extend(now.entries.iter().map(|e| e.map(|e| e.sphere)));
 }
 
 /// Planes to the public frame.

@@ -7,7 +7,7 @@ use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
 use super::surface::to_integer;
-use super::{CodecError, EncodedFrame, mask, palette_choice, residual};
+use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice, residual};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
@@ -26,6 +26,9 @@ pub struct CodecOptions {
     pub tolerance: Tolerance,
     /// The contact distance of the fit: errors are weighed by it, and spheres stated as finely.
     pub contact: ContactDistance,
+    /// The mask may be smoothed where it is noise: few pixels are lost or invented, and counted. Never
+    /// without loss.
+    pub smooth_mask: bool,
 }
 
 /// The bound, in contact distances, where none is asked for. Within the contact distance lie all but
@@ -45,6 +48,7 @@ impl CodecOptions {
                 lossless: false,
             },
             contact,
+            smooth_mask: false,
         }
     }
 }
@@ -52,8 +56,12 @@ impl CodecOptions {
 /// What one frame cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EncodeReport {
-    /// Measured pixels, all of which come back.
+    /// Measured pixels.
     pub valid_pixels: u32,
+    /// Those that smoothing the mask took away; all others come back.
+    pub lost_pixels: u32,
+    /// Pixels that smoothing the mask added.
+    pub invented_pixels: u32,
     /// Pixels that touch their sphere after quantisation.
     pub touching_pixels: u32,
     /// Spheres in the frame.
@@ -83,6 +91,7 @@ pub struct Encoder {
     options: CodecOptions,
     state: State,
     plane: Vec<u16>,
+    scratch: Vec<u16>,
     /// Measured pixels of each block, and those of them that touch the sphere they got.
     measured: Vec<u64>,
     hits: Vec<u64>,
@@ -137,6 +146,7 @@ impl Encoder {
             options,
             state: State::with_room(room),
             plane: Vec::new(),
+            scratch: Vec::new(),
             measured: Vec::new(),
             hits: Vec::new(),
             blocks: Vec::with_capacity(room),
@@ -151,6 +161,21 @@ impl Encoder {
     /// Makes the next frame a key frame.
     pub fn request_key(&mut self) {
         self.last_sequence = None;
+    }
+
+    /// From the next frame on, which becomes a key frame, spheres are fitted to `contact`: the bound is
+    /// [`DEFAULT_BOUND`] times that.
+    pub fn set_contact_distance(&mut self, contact: ContactDistance) {
+        if contact == self.options.contact {
+            return;
+        }
+        self.options.contact = contact;
+        self.options.tolerance.contact = contact.scaled(DEFAULT_BOUND);
+        self.stream.tolerance = self.options.tolerance;
+        let unit_m = self.stream.depth_unit_m;
+        self.reach = Reach::new(&self.options.tolerance.contact, unit_m);
+        self.contact = Reach::new(&contact, unit_m);
+        self.request_key();
     }
 
     /// Encodes one frame. `saint` explains `frame`: a label for each of its measured pixels.
@@ -196,6 +221,11 @@ impl Encoder {
             valid_pixels: self.validity.clean(&self.rays, frame, &mut self.plane) as u32,
             ..Default::default()
         };
+        if self.options.smooth_mask && !self.options.tolerance.lossless {
+            let past = (!key).then_some(&self.state.before.mask.pixels);
+            let changed = mask_choice::smooth(&self.rays, &mut self.plane, past, &mut self.scratch);
+            (report.lost_pixels, report.invented_pixels) = (changed.lost, changed.invented);
+        }
         mask::measure(&self.rays, &self.plane, &mut self.measured);
         self.hits.clear();
         self.hits.resize(self.rays.blocks(), 0);

@@ -179,12 +179,16 @@ impl Header {
         }
     }
 
-    /// Reads a header from the start of a payload (without its checksum) and returns it with the
-    /// sections' bytes.
+    /// Reads a header from the start of a payload and returns it with the bytes of the first `wanted`
+    /// sections (the others empty) and where the last section ends. The checksum behind is not read;
+    /// a payload may be cut behind the wanted sections.
     ///
     /// # Errors
-    /// [`CodecError`] where the bytes are not a whole payload of this version.
-    pub fn read(payload: &[u8]) -> Result<(Self, [&[u8]; SECTIONS]), CodecError> {
+    /// [`CodecError`] where the bytes are not a payload of this version, or end before that.
+    pub fn read(
+        payload: &[u8],
+        wanted: usize,
+    ) -> Result<(Self, [&[u8]; SECTIONS], usize), CodecError> {
         let mut r = Reader {
             bytes: payload,
             at: 0,
@@ -252,14 +256,9 @@ impl Header {
             *s = usize::try_from(r.varint()?).unwrap_or(usize::MAX);
         }
         let mut bytes: [&[u8]; SECTIONS] = [&[]; SECTIONS];
-        for (b, &n) in bytes.iter_mut().zip(&sections) {
+        let end = sections.iter().fold(r.at, |end, &n| end.saturating_add(n));
+        for (b, &n) in bytes.iter_mut().zip(&sections).take(wanted) {
             *b = r.take(n)?;
-        }
-        if r.at != payload.len() {
-            return Err(CodecError::Corrupt {
-                at: r.at,
-                what: "bytes follow the last section",
-            });
         }
         Ok((
             Self {
@@ -272,6 +271,7 @@ impl Header {
                 sections,
             },
             bytes,
+            end,
         ))
     }
 }

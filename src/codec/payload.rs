@@ -5,7 +5,7 @@
 //! | `SL` | sensor map, key or P frame | [`super::Decoder`] |
 //! | `SPOL` | polar map, decodes alone | [`super::polar`] |
 
-use super::{CodecError, DecodedFrame, Decoder, header, polar};
+use super::{CodecError, DecodedFrame, Decoder, Level, header, polar};
 use crate::contact_map::merged::ClaimMap;
 
 /// In which domain a payload's contact map lies.
@@ -62,6 +62,15 @@ impl PayloadDecoder {
     #[must_use]
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// A decoder of coarser sensor frames. Polar payloads have one level only.
+    #[must_use]
+    pub fn at(level: Level) -> Self {
+        Self {
+            sensor: Decoder::at(level),
+            polar: ClaimMap::default(),
+        }
     }
 
     /// Decodes one payload. Safe on any bytes.

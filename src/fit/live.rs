@@ -183,6 +183,13 @@ impl Modeler {
         }
     }
 
+    /// Fits the frames that follow to this distance, the last frame's spheres first.
+    pub fn set_contact_distance(&mut self, distance: &ContactDistance) {
+        self.options.contact_distance = *distance;
+        self.contact = Contact::new(&distance.scaled(TOUCH_SHARE), RAY_SHARE / TOUCH_SHARE);
+        self.surface = distance.scaled(SURFACE_SHARE);
+    }
+
     /// Forgets the frame before: the next one is fitted from nothing.
     pub fn reset(&mut self) {
         self.blocks.before.fill(EMPTY);

@@ -79,7 +79,7 @@ pub fn agrees((frame, payload): &(FrameHeader, &[u8])) -> Option<bool> {
     if !body.starts_with(&MAGIC) {
         return None;
     }
-    let (header, _) = Header::read(body).ok()?;
+    let (header, ..) = Header::read(body, 0).ok()?;
     let said = (header.stream.is_some(), header.sequence, header.time);
     Some(said == (frame.key, frame.sequence, frame.time))
 }
@@ -89,6 +89,6 @@ pub fn agrees((frame, payload): &(FrameHeader, &[u8])) -> Option<bool> {
 #[must_use]
 pub fn reference(payload: &[u8]) -> Option<u64> {
     let body = payload.strip_suffix(payload.last_chunk::<4>()?)?;
-    let (header, _) = Header::read(body).ok()?;
+    let (header, ..) = Header::read(body, 0).ok()?;
     header.stream.is_none().then_some(header.reference)
 }

@@ -115,6 +115,7 @@ pub fn options(contact: ContactDistance, lossless: bool, keyframe_every: u32) ->
         keyframe_every,
         tolerance: Tolerance { contact, lossless },
         contact,
+        smooth_mask: false,
     }
 }
 

@@ -1,6 +1,6 @@
 //! Arguments of the commands that look after a recording: `play`, `check`, `repair`.
 
-use super::RangeArgs;
+use super::{LevelArg, RangeArgs};
 use crate::cli::values::factor;
 use clap::Args;
 use std::path::PathBuf;
@@ -21,6 +21,9 @@ pub struct PlayArgs {
     /// only one.
     #[arg(long, value_name = "N", conflicts_with_all = ["from", "to"])]
     pub frame: Option<u64>,
+    /// How much of each payload is decoded.
+    #[arg(long, value_enum, default_value_t)]
+    pub level: LevelArg,
     /// From the last frame to the first.
     #[arg(long)]
     pub reverse: bool,

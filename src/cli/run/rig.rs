@@ -1,7 +1,7 @@
 //! Several cameras at once: a pipeline each, one recording.
 
 use super::super::args::{LiveArgs, StatsArg};
-use super::super::engine::{EncodeStage, Engine, ModelStage};
+use super::super::engine::{self, Engine};
 use super::super::failure::{Failure, Kind};
 use super::super::source::{self, Color};
 use super::super::status::Display;
@@ -150,8 +150,7 @@ fn stream(
     let place = format!("camera `{name}`");
     let pace = pace_of(source.as_ref());
     let facts = source.camera().clone();
-    let mut model = ModelStage::new(&facts, &run.engine)?;
-    let mut encode = EncodeStage::new(&facts, &run.engine)?;
+    let (mut model, mut encode) = engine::stages(&facts, &run.engine)?;
     let mut display = Display::of_camera(&name, run.stream.stats);
     let stages = Stages {
         source: source.as_mut(),

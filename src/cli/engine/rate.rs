@@ -1,0 +1,85 @@
+//! Rate control between the stages: the encoder decides, the model stage follows at the same frame.
+
+use saint_live::codec::rate::{Decision, RateControl};
+use saint_live::codec::{CodecOptions, EncodedFrame};
+use saint_live::fit::contact_distance::ContactDistance;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The encoder's end.
+pub struct Rate {
+    control: RateControl,
+    sent: Arc<Mutex<Option<Decision>>>,
+    own: Schedule,
+}
+
+/// The model stage's end.
+pub struct Plan {
+    received: Arc<Mutex<Option<Decision>>>,
+    own: Schedule,
+}
+
+/// Frames counted and the distance from which on.
+struct Schedule {
+    usual: ContactDistance,
+    frames: u64,
+    next: Option<Decision>,
+}
+
+impl Schedule {
+    /// Counts a frame; the distance where it changes with it.
+    fn step(&mut self) -> Option<ContactDistance> {
+        let frame = self.frames;
+        self.frames += 1;
+        let due = self.next.take_if(|d| d.from <= frame)?;
+        Some(self.usual.scaled(due.scale))
+    }
+}
+
+/// Both ends of a rate control that aims at `bits_per_s`.
+pub fn link(bits_per_s: f64, codec: &CodecOptions) -> (Plan, Rate) {
+    let shared = Arc::new(Mutex::new(None));
+    let own = || Schedule {
+        usual: codec.contact,
+        frames: 0,
+        next: None,
+    };
+    let plan = Plan {
+        received: Arc::clone(&shared),
+        own: own(),
+    };
+    let rate = Rate {
+        control: RateControl::new(bits_per_s, codec.keyframe_every),
+        sent: shared,
+        own: own(),
+    };
+    (plan, rate)
+}
+
+impl Rate {
+    /// The distance from the next frame on, where it changes.
+    pub fn next(&mut self) -> Option<ContactDistance> {
+        self.own.step()
+    }
+
+    /// Takes the frame that was encoded.
+    pub fn observe(&mut self, frame: &EncodedFrame) {
+        let decided = self
+            .control
+            .observe(frame.time.device_ns, frame.payload.len());
+        if decided.is_some() {
+            self.own.next = decided;
+            *self.sent.lock().unwrap_or_else(PoisonError::into_inner) = decided;
+        }
+    }
+}
+
+impl Plan {
+    /// The distance from the next frame on, where it changes.
+    pub fn next(&mut self) -> Option<ContactDistance> {
+        let mut received = self.received.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(decision) = received.take() {
+            self.own.next = Some(decision);
+        }
+        self.own.step()
+    }
+}
