@@ -175,6 +175,8 @@ impl Encoder {
         let unit_m = self.stream.depth_unit_m;
         self.reach = Reach::new(&self.options.tolerance.contact, unit_m);
         self.contact = Reach::new(&contact, unit_m);
+        // another stream to the decoder: bins and planes begin anew there, too
+        self.state = State::with_room(FitOptions::default().max_spheres);
         self.request_key();
     }
 
