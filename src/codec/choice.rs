@@ -4,8 +4,7 @@
 //! boundary between two spheres that both explain the noise runs where it costs least.
 
 use super::label_map::Choice;
-use super::mask::inside;
-use super::surface::{BEYOND, Depths};
+use super::surface::{BEYOND, Depths, packed};
 use crate::contact_map::assign::PALETTE;
 use crate::contact_map::contact::Reach;
 use crate::deproject::{BLOCK, Rays};
@@ -31,7 +30,7 @@ pub(super) struct Errors<'a> {
 
 impl Errors<'_> {
     /// Prices of block `k`'s pixels for a sphere at `depths`, in 1/16 bit: by the squared error, or
-    /// [`MISS_COST`] and no less where it breaks the bound.
+    /// [`MISS_COST`] and no less where it breaks the bound; 0 where nothing was measured.
     #[inline(always)]
     pub fn prices(&self, rays: &Rays, k: usize, depths: &Depths, out: &mut [u16; BLOCK * BLOCK]) {
         let (x0, y0) = (
@@ -58,7 +57,8 @@ impl Errors<'_> {
                 let share = (raw - d) * (raw - d) * q / (contact * contact);
                 let price = (share * ERROR_COST).min(f32::from(MISS_COST - 1)) as u16;
                 let hit = self.reach.touches(raw, d, q) & real;
-                out[i] = if hit { price } else { MISS_COST };
+                let price = if hit { price } else { MISS_COST };
+                out[i] = if raw > 0.0 { price } else { 0 };
             }
         }
     }
@@ -71,8 +71,9 @@ pub(super) struct Cheapest<'a> {
     measured: &'a [u64],
     /// Touching pixels of each block.
     hits: &'a mut [u64],
-    /// Of the block at hand, by palette entry.
+    /// Of the block at hand, by palette entry: prices, and the pixels whose price is a miss's.
     prices: [[u16; BLOCK * BLOCK]; PALETTE],
+    missed: [u64; PALETTE],
 }
 
 impl<'a> Cheapest<'a> {
@@ -89,6 +90,7 @@ impl<'a> Cheapest<'a> {
             measured,
             hits,
             prices: [[0; BLOCK * BLOCK]; PALETTE],
+            missed: [0; PALETTE],
         }
     }
 }
@@ -97,8 +99,14 @@ impl Choice for Cheapest<'_> {
     #[inline(always)]
     fn block(&mut self, k: usize, palette: &[u16], depths: &[Depths; PALETTE]) {
         self.hits[k] = 0;
-        for (prices, depths) in self.prices.iter_mut().zip(&depths[..palette.len()]) {
+        let lists = self.prices.iter_mut().zip(&mut self.missed);
+        for ((prices, missed), depths) in lists.zip(&depths[..palette.len()]) {
             self.errors.prices(self.rays, k, depths, prices);
+            let mut cells = [0u8; BLOCK * BLOCK];
+            for (cell, price) in cells.iter_mut().zip(prices) {
+                *cell = u8::from(*price == MISS_COST);
+            }
+            *missed = packed(&cells);
         }
     }
 
@@ -130,10 +138,6 @@ impl Choice for Cheapest<'_> {
 
     #[inline(always)]
     fn given(&mut self, k: usize, pixels: u64, entry: usize) {
-        let mut hits = 0;
-        for (i, &price) in self.prices[entry].iter().enumerate() {
-            hits |= u64::from(price < MISS_COST) << i;
-        }
-        self.hits[k] |= pixels & hits & self.measured[k] & inside(self.rays, k);
+        self.hits[k] |= pixels & !self.missed[entry] & self.measured[k];
     }
 }

@@ -87,64 +87,76 @@ impl NewNumbers {
     }
 }
 
-/// The candidates of one palette entry and how many of (west, north, past) hold each.
-struct List {
+/// The candidates of a block's palette entries, in order; found as they are asked for, since the
+/// first ones mostly do.
+struct Candidates<'a> {
     ids: [u16; LIST],
-    votes: [u8; LIST],
     len: usize,
+    /// Palettes in which they are looked for, and how far that came.
+    sources: [&'a [u16]; SOURCES],
+    source: usize,
+    entry: usize,
 }
 
-impl List {
-    fn add(&mut self, id: u16, vote: u8) {
-        if let Some(k) = self.ids[..self.len].iter().position(|&i| i == id) {
-            self.votes[k] |= vote;
-        } else if self.len < LIST {
-            self.ids[self.len] = id;
-            self.votes[self.len] = vote;
-            self.len += 1;
+/// Places in which candidates are looked for; the first three vote.
+const SOURCES: usize = 9;
+
+impl<'a> Candidates<'a> {
+    fn new(map: &'a LabelMap, before: Option<&'a LabelMap>, columns: usize, k: usize) -> Self {
+        let (x, blocks) = (k % columns, map.sizes.len());
+        let (west, north, east) = (x > 0, k >= columns, x + 1 < columns);
+        let palette = |m: Option<&'a LabelMap>, there: bool, k: usize| -> &'a [u16] {
+            match m {
+                Some(m) if there => &m.palettes[k][..usize::from(m.sizes[k])],
+                _ => &[],
+            }
+        };
+        let now = |there, k| palette(Some(map), there, k);
+        let past = |there, k| palette(before, there, k);
+        let above = k.wrapping_sub(columns);
+        Self {
+            ids: [NO_SPHERE; LIST],
+            len: 0,
+            sources: [
+                past(true, k),
+                now(west, k.wrapping_sub(1)),
+                now(north, above),
+                now(north && east, above.wrapping_add(1)),
+                now(north && west, above.wrapping_sub(1)),
+                past(east, k + 1),
+                past(k + columns < blocks, k + columns),
+                past(west, k.wrapping_sub(1)),
+                past(north, above),
+            ],
+            source: 0,
+            entry: 0,
         }
     }
 
-    fn gather(map: &LabelMap, before: Option<&LabelMap>, columns: usize, k: usize) -> Self {
-        let mut list = Self {
-            ids: [NO_SPHERE; LIST],
-            votes: [0; LIST],
-            len: 0,
-        };
-        let mut all = |m: &LabelMap, k: usize, vote: u8| {
-            for &id in &m.palettes[k][..usize::from(m.sizes[k])] {
-                list.add(id, vote);
-            }
-        };
-        if let Some(b) = before {
-            all(b, k, 1);
-        }
-        let (x, blocks) = (k % columns, map.sizes.len());
-        if x > 0 {
-            all(map, k - 1, 2);
-        }
-        if k >= columns {
-            all(map, k - columns, 4);
-            if x + 1 < columns {
-                all(map, k - columns + 1, 0);
-            }
-            if x > 0 {
-                all(map, k - columns - 1, 0);
-            }
-        }
-        if let Some(b) = before {
-            for (there, n) in [
-                (x + 1 < columns, k + 1),
-                (k + columns < blocks, k + columns),
-                (x > 0, k.wrapping_sub(1)),
-                (k >= columns, k.wrapping_sub(columns)),
-            ] {
-                if there {
-                    all(b, n, 0);
+    /// The n-th candidate; each below n was asked for before.
+    #[inline(always)]
+    fn get(&mut self, n: usize) -> Option<u16> {
+        while n == self.len && self.len < LIST {
+            let source = self.sources.get(self.source)?;
+            match source.get(self.entry) {
+                None => (self.source, self.entry) = (self.source + 1, 0),
+                Some(id) => {
+                    self.entry += 1;
+                    if !self.ids[..self.len].contains(id) {
+                        self.ids[self.len] = *id;
+                        self.len += 1;
+                    }
                 }
             }
         }
-        list
+        (n < self.len).then(|| self.ids[n])
+    }
+
+    /// Which of past, west and north hold it.
+    #[inline(always)]
+    fn votes(&self, id: u16) -> usize {
+        let vote = |source: usize| usize::from(self.sources[source].contains(&id)) << source;
+        vote(0) | vote(1) | vote(2)
     }
 }
 
@@ -190,28 +202,27 @@ pub fn code<C: Coder>(
             n += 1;
         }
         map.sizes[k] = n as u8;
-        let list = List::gather(map, before, columns, k);
-        let mut tried = [false; LIST];
-        for entry in 0..n {
-            let id = map.palettes[k][entry];
-            let mut found = None;
-            let mut rank = 0usize;
-            for c in 0..list.len {
-                if tried[c] {
-                    continue;
+        let mut palette = map.palettes[k];
+        let mut list = Candidates::new(map, before, columns, k);
+        let mut tried = 0u32;
+        for (entry, label) in palette[..n].iter_mut().enumerate() {
+            let id = *label;
+            let (mut found, mut rank, mut c) = (None, 0usize, 0usize);
+            while let Some(this) = list.get(c) {
+                if tried >> c & 1 == 0 {
+                    let context = (rank.min(7) * 2 + usize::from(entry > 0)) * 8 + list.votes(this);
+                    if coder.bit(&mut models.candidate[context], this == id) {
+                        tried |= 1 << c;
+                        found = Some(this);
+                        break;
+                    }
+                    rank += 1;
                 }
-                let model = &mut models.candidate
-                    [(rank.min(7) * 2 + usize::from(entry > 0)) * 8 + usize::from(list.votes[c])];
-                if coder.bit(model, list.ids[c] == id) {
-                    found = Some(c);
-                    break;
-                }
-                rank += 1;
+                c += 1;
             }
             let first = usize::from(entry > 0);
-            map.palettes[k][entry] = if let Some(c) = found {
-                tried[c] = true;
-                list.ids[c]
+            *label = if let Some(id) = found {
+                id
             } else if coder.bit(&mut models.none[first], id == NO_SPHERE) {
                 NO_SPHERE
             } else if new.bound() == 0
@@ -232,6 +243,7 @@ pub fn code<C: Coder>(
                 number as u16
             };
         }
+        map.palettes[k] = palette;
     }
     Ok(())
 }
