@@ -7,7 +7,7 @@ use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
 use super::surface::to_integer;
-use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice, residual};
+use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
@@ -240,7 +240,6 @@ impl Encoder {
         self.code_spheres(saint, &mut report);
         let motion = if key { Motion::default() } else { saint.motion };
         self.code_pixels(key, &motion);
-        self.state.rebuild(&self.rays);
         self.choose_kinds(&mut report);
         self.code_residuals(key)?;
 
@@ -488,46 +487,17 @@ impl Encoder {
     }
 
     fn code_residuals(&mut self, key: bool) -> Result<(), CodecError> {
-        let State {
-            models,
-            now,
-            before,
-            predicted,
-            rebuilt,
-            traces,
-            bins,
-            ..
-        } = &mut self.state;
         let (rays, plane, hits) = (&self.rays, &self.plane, &self.hits);
-        let lossless = self.options.tolerance.lossless;
-        let mut coder = RangeEncoder::new(&mut self.sections[3]);
-        let wanted = Some((plane.as_slice(), &self.reach, lossless));
-        residual::code_bins(&mut coder, &mut models.residual, bins, key, wanted)
-            .map_err(|_| CodecError::Limit("a depth integer beyond 65535".to_string()))?;
-        residual::code_kinds(
-            &mut coder,
-            &mut models.residual,
-            rays,
-            now,
-            (!key).then_some(&before.kinds),
-        );
-        let needed = now.kinds.iter().any(|k| *k != Kind::Smooth);
-        bins.prepare(rays, &self.reach, lossless, needed);
         let stride = rays.stride();
-        residual::code_pixels(
-            &mut coder,
-            &mut models.residual,
-            rays,
-            bins,
-            now,
-            predicted,
-            rebuilt,
-            traces,
-            |block, x, y| {
-                let bit = y % BLOCK * BLOCK + x % BLOCK;
-                (plane[y * stride + x], hits[block] >> bit & 1 != 0)
-            },
-        );
+        let mut coder = RangeEncoder::new(&mut self.sections[3]);
+        let how = (key, self.options.tolerance.lossless);
+        let wanted = |block: usize, x: usize, y: usize| {
+            let bit = y % BLOCK * BLOCK + x % BLOCK;
+            (plane[y * stride + x], hits[block] >> bit & 1 != 0)
+        };
+        self.state
+            .code_residual(&mut coder, rays, &self.reach, how, Some(plane), wanted)
+            .map_err(|_| CodecError::Limit("a depth integer beyond 65535".to_string()))?;
         coder.finish();
         Ok(())
     }
