@@ -19,6 +19,9 @@ use crate::deproject::{BLOCK, Rays};
 const CELLS: [usize; CONTEXTS] = [243, 324, 243];
 const NODES: usize = PALETTE - 1;
 
+/// By entry and rank of a label: 0 where the label is the entry, 1 where it is a later one, else 2.
+const CLASS: [[usize; PALETTE + 1]; NODES] = [[0, 1, 1, 1, 2], [2, 0, 1, 1, 2], [2, 2, 0, 1, 2]];
+
 /// Learnt models of the labels of quads and pixels.
 #[derive(Clone, Debug)]
 pub struct Models {
@@ -212,16 +215,14 @@ struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// 0 where the label is entry `e`, 1 where it is a later one, else 2.
+    /// Palette entry of a label, `PALETTE` for one of another block.
     #[inline(always)]
-    fn class(&self, e: usize, label: u16) -> usize {
-        if label == self.palette[e] {
-            0
-        } else if self.palette[e + 1..self.size].contains(&label) {
-            1
-        } else {
-            2
+    fn rank(&self, label: u16) -> usize {
+        let mut rank = PALETTE;
+        for e in (0..self.size).rev() {
+            rank = if self.palette[e] == label { e } else { rank };
         }
+        rank
     }
 
     #[inline(always)]
@@ -258,10 +259,11 @@ impl Block<'_> {
                 cells[first + 4 - stride]
             },
             past.unwrap_or(NO_SPHERE),
-        ];
+        ]
+        .map(|label| self.rank(label));
         let mut nodes = [0usize; NODES];
         for e in 0..self.size - 1 {
-            nodes[e] = e * 243 + near.iter().fold(0, |c, &n| c * 3 + self.class(e, n));
+            nodes[e] = e * 243 + near.iter().fold(0, |c, &rank| c * 3 + CLASS[e][rank]);
         }
         let split = &mut models.split[self.split_context(q, first)];
         let mut want = None;
@@ -363,30 +365,32 @@ impl Block<'_> {
         let stride = self.map.pixels.stride();
         let cells = self.map.pixels.cells();
         let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD + i;
-        let (w, n, nw) = (cells[at - 1], cells[at - stride], cells[at - stride - 1]);
         // the north-east is not decoded where it lies in a later quad
         let there = i + 1 < QUAD || (j == 0 && q < 3);
-        let ne = if there { cells[at - stride + 1] } else { n };
+        let back = stride - usize::from(there);
+        let near = [at - 1, at - stride, at - stride - 1, at - back];
+        let [w, n, nw, ne] = near.map(|at| self.rank(cells[at]));
         let past = self.before.map(|b| {
             let at = b.at(self.k, at);
-            [b.cells[at], b.cells[at + 1], b.cells[at + stride]]
+            [at, at + 1, at + stride].map(|at| self.rank(b.cells[at]))
         });
         let mut contexts = [[0usize; CONTEXTS]; NODES];
         let mut sets = [0usize; NODES];
         for e in 0..self.size - 1 {
-            let (cw, cn) = (self.class(e, w), self.class(e, n));
-            let around = ((cw * 3 + cn) * 3 + self.class(e, nw)) * 3 + self.class(e, ne);
-            let [here, east, south] = past.map_or([2; 3], |p| p.map(|l| self.class(e, l)));
+            let class = &CLASS[e];
+            let beside = class[w] * 3 + class[n];
+            let around = (beside * 3 + class[nw]) * 3 + class[ne];
+            let [here, east, south] = past.map_or([2; 3], |p| p.map(|rank| class[rank]));
             let geometry = ((self.cross(e, bit, 1) * 3 + self.cross(e, bit, BLOCK)) * 2
                 + (self.crossing.front[e] >> bit & 1) as usize)
                 * 2
                 + (self.crossing.close[e] >> bit & 1) as usize;
             contexts[e] = [
                 e * CELLS[0] + around * 3 + here,
-                e * CELLS[1] + (geometry * 3 + cw) * 3 + cn,
-                e * CELLS[2] + (((here * 3 + east) * 3 + south) * 3 + cw) * 3 + cn,
+                e * CELLS[1] + geometry * 9 + beside,
+                e * CELLS[2] + ((here * 3 + east) * 3 + south) * 9 + beside,
             ];
-            sets[e] = e * 9 + cw * 3 + cn;
+            sets[e] = e * 9 + beside;
         }
         let [a, b, c] = &mut models.pixel;
         let mut want = 0;

@@ -360,37 +360,44 @@ pub fn code_pixels<C: Coder>(
     }
 }
 
+/// Cells of 0 and 1 as bits, cell `from` lowest.
+#[inline(always)]
+fn window(cells: &[u8], from: usize) -> usize {
+    match cells[from..].first_chunk::<8>() {
+        Some(row) => {
+            (u64::from_le_bytes(*row).wrapping_mul(0x0102_0408_1020_4080) >> 56) as usize
+        }
+        None => 0,
+    }
+}
+
+/// The bits `at` of a window, the first one highest.
+#[inline(always)]
+fn pick<const N: usize>(window: usize, at: [usize; N]) -> usize {
+    at.iter().fold(0, |c, &k| c << 1 | window >> k & 1)
+}
+
 /// Contexts of a pixel: six neighbours decoded already with three pixels of the last mask and what
 /// is known to the east and south; ten neighbours; the last mask all around.
 #[inline(always)]
 fn contexts(mask: &Plane<u8>, before: Option<(&[u8], usize)>, i: usize) -> [usize; CONTEXTS] {
     let (p, s) = (mask.cells(), mask.stride());
-    let bits = |p: &[u8], at: &[usize]| at.iter().fold(0, |c, &k| c << 1 | usize::from(p[k]));
-    let near = bits(p, &[i - 1, i - 2, i - s - 1, i - s, i - s + 1, i - 2 * s]);
-    let ahead = bits(p, &[i + 1, i + s]);
-    let wide = bits(
-        p,
-        &[i - 3, i - s - 2, i - s + 2, i - 2 * s - 1, i - 2 * s + 1],
-    );
+    // bit 3 of each row is the pixel's own column
+    let row = window(p, i - 3);
+    let above = window(p, i - s - 3);
+    let top = window(p, i - 2 * s - 3);
+    let near = pick(row, [2, 1]) << 4 | pick(above, [2, 3, 4]) << 1 | pick(top, [3]);
+    let ahead = pick(row, [4]) << 1 | usize::from(p[i + s]);
+    let wide = pick(row, [0]) << 4 | pick(above, [1, 5]) << 2 | pick(top, [2, 4]);
     let (few, all) = match before {
         None => (8, 512),
-        Some((b, i)) => (
-            bits(b, &[i, i + 1, i + s]),
-            bits(
-                b,
-                &[
-                    i - s - 1,
-                    i - s,
-                    i - s + 1,
-                    i - 1,
-                    i,
-                    i + 1,
-                    i + s - 1,
-                    i + s,
-                    i + s + 1,
-                ],
-            ),
-        ),
+        Some((b, i)) => {
+            let rows = [i - s - 1, i - 1, i + s - 1].map(|from| window(b, from));
+            (
+                pick(rows[1], [1, 2]) << 1 | pick(rows[2], [1]),
+                rows.iter().fold(0, |c, &row| c << 3 | pick(row, [0, 1, 2])),
+            )
+        }
     };
     [
         near << 6 | few << 2 | ahead,
