@@ -395,8 +395,14 @@ fn write_pixels<'a>(
                     }
                 }
             }
-            depth_m.copy_from_slice(&z[..w]);
-            labels.copy_from_slice(&id[..w]);
+            match (depth_m.first_chunk_mut::<BLOCK>(), labels.first_chunk_mut::<BLOCK>()) {
+                // whole blocks without a call
+                (Some(depth_m), Some(labels)) => (*depth_m, *labels) = (z, id),
+                _ => {
+                    depth_m.copy_from_slice(&z[..w]);
+                    labels.copy_from_slice(&id[..w]);
+                }
+            }
         }
     }
 }
