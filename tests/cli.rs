@@ -455,3 +455,44 @@ fn a_reader_that_goes_away_is_a_clean_end() {
         String::from_utf8_lossy(&output.stderr)
     );
 }
+
+/// Bits per second of a recording.
+fn rate(path: &Path) -> f64 {
+    let info = json(&run(["info", path.to_str().unwrap(), "--json"], 0).0);
+    info["bitrate_bps"].as_f64().unwrap()
+}
+
+#[test]
+fn a_bit_rate_is_kept_and_the_threads_do_not_matter() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = "synthetic:room,size=160x120,paced=false,frames=150";
+    let record = |name: &str, flags: &[&str]| {
+        let path = folder.path().join(name);
+        let mut arguments = vec!["--device", device, "-q", "--budget", "10s", "-o"];
+        arguments.push(path.to_str().unwrap());
+        arguments.extend(flags);
+        run(arguments, 0);
+        run(["check", path.to_str().unwrap()], 0);
+        path
+    };
+    let points = |path: &Path| {
+        let out = path.with_extension("pcd");
+        let file = [path, &out].map(|p| p.to_str().unwrap().to_owned());
+        let arguments = [
+            "export", &file[0], "--to", "pcd", "--from", "140", "-n", "1",
+        ];
+        run([&arguments[..], &["-o", &file[1]]].concat(), 0);
+        std::fs::read(out).unwrap()
+    };
+    let usual = rate(&record("usual.mcap", &[]));
+    for (name, factor) in [("half", 0.5), ("twice", 2.0)] {
+        let target = format!("{}", (usual * factor) as u64);
+        let files = ["1", "2"].map(|threads| {
+            let name = format!("{name}{threads}.mcap");
+            record(&name, &["--bitrate", &target, "--threads", threads])
+        });
+        let ratio = rate(&files[0]) / (usual * factor);
+        assert!((0.75..1.35).contains(&ratio), "{name}: {ratio}");
+        assert_eq!(points(&files[0]), points(&files[1]), "{name}");
+    }
+}

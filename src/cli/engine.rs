@@ -228,6 +228,10 @@ impl Engine {
                 Domain::Sensor
             }
         };
+        if let Some(bits_per_s) = self.bitrate {
+            // the two distances are where it starts
+            notes.insert("bitrate".to_owned(), bits_per_s.to_string());
+        }
         notes.insert(CONTACT_MAP_NOTE.to_owned(), domain.name().to_owned());
         notes
     }

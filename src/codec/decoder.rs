@@ -1,5 +1,6 @@
 //! Payloads to depth frames, spheres and contact maps.
 
+use super::CodecError;
 use super::header::{self, Header, Stream};
 use super::label_map::AsRead;
 use super::mask::{self, Fill};
@@ -8,7 +9,6 @@ use super::residual::Kind;
 use super::sphere_table::{self, Support};
 use super::state::State;
 use super::surface::{self, BEYOND, Surfaces, to_integer};
-use super::CodecError;
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
 use crate::deproject::{BLOCK, Rays};
@@ -395,7 +395,10 @@ fn write_pixels<'a>(
                     }
                 }
             }
-            match (depth_m.first_chunk_mut::<BLOCK>(), labels.first_chunk_mut::<BLOCK>()) {
+            match (
+                depth_m.first_chunk_mut::<BLOCK>(),
+                labels.first_chunk_mut::<BLOCK>(),
+            ) {
                 // whole blocks without a call
                 (Some(depth_m), Some(labels)) => (*depth_m, *labels) = (z, id),
                 _ => {

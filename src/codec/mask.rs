@@ -364,9 +364,7 @@ pub fn code_pixels<C: Coder>(
 #[inline(always)]
 fn window(cells: &[u8], from: usize) -> usize {
     match cells[from..].first_chunk::<8>() {
-        Some(row) => {
-            (u64::from_le_bytes(*row).wrapping_mul(0x0102_0408_1020_4080) >> 56) as usize
-        }
+        Some(row) => (u64::from_le_bytes(*row).wrapping_mul(0x0102_0408_1020_4080) >> 56) as usize,
         None => 0,
     }
 }
