@@ -1,7 +1,7 @@
 //! Rate control: the contact distance that keeps a stream at a bit rate.
 //!
 //! Bits fall with the contact distance, by about its power of −3/4 (Kinect and RealSense
-//! sequences). Once for each key-frame interval the controller compares the bits since its last
+//! sequences; by less where little but the mask is left): the controller learns it. Once for each key-frame interval the controller compares the bits since its last
 //! decision with the target and scales the distance. A decision takes effect [`DELAY`] frames
 //! later, at a frame both the fit and the encoder count to, so that the same input gives the same
 //! bytes with any number of threads.
@@ -10,8 +10,11 @@
 pub const DELAY: u64 = 8;
 /// Frames before the first decision.
 const FIRST: u64 = 3;
-/// The distance's power in the bits, inverted.
-const EXPONENT: f64 = 4.0 / 3.0;
+/// The distance's power in the bits: usual, least and most.
+const POWER: f64 = 0.75;
+const POWERS: (f64, f64) = (0.25, 1.2);
+/// The power is learnt from changes of the distance of this factor or more.
+const TELLING: f64 = 1.15;
 /// Least and greatest change of the distance by one decision, and at all.
 const STEP: (f64, f64) = (0.4, 2.5);
 const RANGE: (f64, f64) = (1.0 / 16.0, 32.0);
@@ -33,6 +36,9 @@ pub struct RateControl {
     bits_per_s: f64,
     every: u64,
     scale: f64,
+    power: f64,
+    /// Scale and rate at the last decision.
+    before: Option<(f64, f64)>,
     frames: u64,
     next: u64,
     /// When the distance last changed, and what came since.
@@ -55,6 +61,8 @@ impl RateControl {
             bits_per_s,
             every: u64::from(keyframe_every).max(FIRST + DELAY),
             scale: 1.0,
+            power: POWER,
+            before: None,
             frames: 0,
             next: FIRST,
             since: 0,
@@ -97,7 +105,15 @@ impl RateControl {
         let rate = (self.key_bits + self.p_bits / passed * p_frames) / interval_s;
         let aim = self.bits_per_s - self.excess / PAYBACK_S;
         let aim = aim.clamp(0.5 * self.bits_per_s, 1.5 * self.bits_per_s);
-        let change = (rate / aim).powf(EXPONENT).clamp(STEP.0, STEP.1);
+        if let Some((scale, last)) = self.before.replace((self.scale, rate)) {
+            let (wider, fewer) = ((self.scale / scale).ln(), (last / rate).ln());
+            if wider.abs() >= TELLING.ln() && fewer.is_finite() {
+                // the scene may have changed, too: half of what was seen
+                let seen = (fewer / wider).clamp(POWERS.0, POWERS.1);
+                self.power = 0.5 * (self.power + seen);
+            }
+        }
+        let change = (rate / aim).powf(1.0 / self.power).clamp(STEP.0, STEP.1);
         let decision = Decision {
             from: index + DELAY,
             scale: (self.scale * change).clamp(RANGE.0, RANGE.1),
@@ -140,9 +156,10 @@ mod tests {
     proptest! {
         /// Whatever the scene costs and however bits fall, the rate comes to the target and stays.
         #[test]
-        fn the_rate_comes_to_the_target(cost in 5e3..5e5f64, power in 0.5..1.1f64, target in 3e5..8e6f64) {
-            let wanted = cost * FPS / target;
-            prop_assume!((0.2..6.0).contains(&wanted));
+        fn the_rate_comes_to_the_target(cost in 5e3..5e5f64, power in 0.4..1.1f64, target in 3e5..8e6f64) {
+            // the scale that is needed lies within the range
+            let scale = (cost * FPS / target).powf(1.0 / power);
+            prop_assume!((0.08..25.0).contains(&scale));
             let bits = stream(target, 900, power, |_| cost);
             let rate = bits[450..].iter().sum::<f64>() / 450.0 * FPS;
             prop_assert!((0.85..1.15).contains(&(rate / target)), "{rate} for {target}");
