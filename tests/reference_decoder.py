@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A second decoder of saint-live's sensor payload, version 2, written from src/codec/FORMAT.md.
+"""A second decoder of saint-live's sensor payload, version 3, written from src/codec/FORMAT.md.
 
     reference_decoder.py CHAIN [PLANES]
 
@@ -17,7 +17,8 @@ import zlib
 import numpy as np
 
 from reference_coder import Contexts, Integer, Range, Refused, Weights, bits, mixed_bit, unfold
-from reference_geometry import F32, F64, Bins, Chart, Entry, clamp, five, move, nine
+from reference_geometry import F32, F64, Bins, Chart, Entry, clamp, five, inverse_depth, move, nine
+from reference_geometry import shift_of
 
 NO_SPHERE, INVALID = 65534, 65535
 KEY, LOSSLESS, DEGRADED, MOVED = 1, 2, 4, 8
@@ -31,15 +32,18 @@ class Models:
 
     def __init__(self):
         self.full, self.empty = bits(36), bits(36)
-        self.mask, self.mask_weights = [Contexts() for _ in range(3)], Weights()
         self.more = [bits(16) for _ in range(3)]
         self.candidate = [[bits(8) for _ in range(2)] for _ in range(8)]
         self.none, self.new = bits(2), bits(2)
-        self.label = [bits(243) for _ in range(3)]
-        self.keep, self.far, self.plane = bits(3)
+        self.keep, self.far, self.plane, self.runs_on = bits(4)
         self.step, self.step_change = Integer(), Integer()
         self.fresh = [Integer() for _ in range(4)]
         self.change = [Integer() for _ in range(4)]
+        self.guided = [Integer() for _ in range(4)]
+        self.quad_full, self.quad_empty = bits(324), bits(324)
+        self.mask, self.mask_weights = [Contexts() for _ in range(3)], Weights()
+        self.split, self.whole = bits(270), bits(729)
+        self.label, self.label_weights = [Contexts() for _ in range(3)], Weights()
         (self.listed,) = bits(1)
         self.active, self.dense, self.miss = bits(9), bits(27), bits(81)
         self.count, self.gap = Integer(), Integer()
@@ -142,7 +146,7 @@ class Decoder:
         if struct.unpack("<I", payload[-4:])[0] != zlib.crc32(body):
             raise Refused("checksum")
         fields = Fields(body)
-        if fields.take(2) != b"SL" or fields.take(1) != b"\x02":
+        if fields.take(2) != b"SL" or fields.take(1) != b"\x03":
             raise Refused("magic or version")
         (flags,) = fields.take(1)
         if flags & ~(KEY | LOSSLESS | DEGRADED | MOVED):
@@ -180,23 +184,27 @@ class Frame:
     def __init__(self, stream, models, past, motion):
         self.stream, self.models, self.past = stream, models, past
         self.now = Picture(stream)
+        self.motion = motion
         before = past.entries if past else []
         self.taken = [entry is not None for entry in before]
         self.before = before if not any(motion) else [move(entry, motion) for entry in before]
         self.next = self.given = 0
 
     def read(self, sections):
-        coders = [Range(section) for section in sections]
-        self.read_mask(coders[0])
-        coders[0].end()
-        self.read_palettes(coders[1])
-        self.read_labels(coders[1])
-        coders[1].end()
-        self.read_spheres(coders[2])
-        coders[2].end()
+        blocks, spheres, pixels, residual = map(Range, sections)
+        self.read_fills(blocks)
+        self.read_palettes(blocks)
+        blocks.end()
+        self.read_spheres(spheres)
+        spheres.end()
+        self.shifts = [self.shift(k) for k in range(self.stream.blocks)]
+        self.read_quads(pixels)
+        self.read_mask(pixels)
+        self.read_labels(pixels)
+        pixels.end()
         self.predict()
-        self.read_residual(coders[3])
-        coders[3].end()
+        self.read_residual(residual)
+        residual.end()
         return self.output()
 
     def neighbour(self, k, dx, dy):
@@ -215,41 +223,19 @@ class Frame:
                     for x in range(8 * bx, 8 * bx + 8 if padded else min(8 * bx + 8, s.width)):
                         yield x, y, k
 
-    # mask
+    # blocks
 
-    def read_mask(self, coder):
-        s, now, past = self.stream, self.now, self.past
-        for k in range(s.blocks):
+    def read_fills(self, coder):
+        now, past = self.now, self.past
+        for k in range(self.stream.blocks):
             west, north = self.neighbour(k, -1, 0), self.neighbour(k, 0, -1)
             c = (now.fills[west] if west is not None else EMPTY) * 3
             c = (c + (now.fills[north] if north is not None else EMPTY)) * 4
             c += past.fills[k] if past else 3
             if coder.bit(self.models.full[c]):
                 now.fills[k] = FULL
-                x, y = 8 * (k % s.columns), 8 * (k // s.columns)
-                now.mask.inner[y : min(y + 8, s.height), x : min(x + 8, s.width)] = 1
             else:
                 now.fills[k] = EMPTY if coder.bit(self.models.empty[c]) else MIXED
-        near = [(-1, 0), (-2, 0), (-1, -1), (0, -1), (1, -1), (0, -2)]
-        wide = [(-3, 0), (-2, -1), (2, -1), (-1, -2), (1, -2)]
-        around = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-        for x, y, _ in self.raster([fill == MIXED for fill in now.fills]):
-
-            def read(mask, places):
-                c = 0
-                for dx, dy in places:
-                    c = 2 * c + mask.at(x + dx, y + dy)
-                return c
-
-            n6 = read(now.mask, near)
-            few = read(past.mask, [(0, 0), (1, 0), (0, 1)]) if past else 8
-            nine = read(past.mask, around) if past else 512
-            cells = 16 * n6 + few, 32 * n6 + read(now.mask, wide)
-            cells += (4 * nine + read(now.mask, [(-1, 0), (0, -1)]),)
-            estimates = [m.at(c) for m, c in zip(self.models.mask, cells)]
-            now.mask.set(x, y, mixed_bit(coder, estimates, self.models.mask_weights.at(n6)))
-
-    # labels
 
     def peek(self):
         while self.next < len(self.taken) and self.taken[self.next]:
@@ -319,31 +305,6 @@ class Frame:
             raise Refused("a sphere that does not exist")
         return number
 
-    def read_labels(self, coder):
-        s, now, past = self.stream, self.now, self.past
-        for k, palette in enumerate(now.palettes):
-            if len(palette) < 2:
-                x, y = 8 * (k % s.columns), 8 * (k // s.columns)
-                now.labels.inner[y : y + 8, x : x + 8] = palette[0] if palette else NO_SPHERE
-        near = [(-1, 0), (0, -1), (-1, -1), (1, -1)]
-        for x, y, k in self.raster([len(p) > 1 for p in now.palettes], padded=True):
-            if not now.mask.at(x, y):
-                now.labels.set(x, y, now.labels.at(x - 1, y))
-                continue
-            palette = now.palettes[k]
-            around = [now.labels.at(x + dx, y + dy) for dx, dy in near]
-            around.append(past.labels.at(x, y) if past else NO_SPHERE)
-            entry = 0
-            while entry < len(palette) - 1:
-                c = 0
-                for label in around:
-                    later = label in palette[entry + 1 :]
-                    c = 3 * c + (0 if label == palette[entry] else 1 if later else 2)
-                if coder.bit(self.models.label[entry][c]):
-                    break
-                entry += 1
-            now.labels.set(x, y, palette[entry])
-
     # spheres
 
     def read_spheres(self, coder):
@@ -358,11 +319,12 @@ class Frame:
         self.now.entries = [None] * self.bound()
         last = None
         for number in sorted(supports):
-            before = self.before[number] if number < len(self.before) else None
+            before = self.entry_before(number)
             if before and coder.bit(models.keep):
                 self.now.entries[number] = before
                 continue
-            guide = before or last
+            beside = self.beside(number)
+            guide = before or beside or last
             if guide:
                 exponent = guide.exponent + models.step_change.signed(coder)
             else:
@@ -372,17 +334,243 @@ class Frame:
             far = bool(coder.bit(models.far))
             plane = coder.bit(models.plane)
             n = [0, 0, 0, 0]
-            if before:
-                guess = chart.quantise(before)
+            if before or beside and coder.bit(models.runs_on):
+                guess = chart.quantise(guide)
+                model = models.change if before else models.guided
                 for k in range(3 if plane else 4):
-                    n[k] = clamp(guess[k] + models.change[k].signed(coder))
+                    n[k] = clamp(guess[k] + model[k].signed(coder))
             else:
-                guess = chart.quantise(last)[0] if last else 0
+                guess = chart.quantise(guide)[0] if guide else 0
                 n[0] = clamp(guess + models.fresh[0].signed(coder))
                 for k in range(1, 3 if plane else 4):
                     n[k] = models.fresh[k].signed(coder)
             last = Entry(*chart.restore(n), far, exponent)
             self.now.entries[number] = last
+
+    def entry_before(self, number):
+        return self.before[number] if number < len(self.before) else None
+
+    def beside(self, number):
+        """The entry of the first neighbour of this number."""
+        palettes = self.now.palettes
+        for k, palette in enumerate(palettes):
+            if number not in palette:
+                continue
+            labels = []
+            for dx, dy in [(-1, 0), (0, -1)]:
+                there = self.neighbour(k, dx, dy)
+                labels += palettes[there][:1] if there is not None else []
+            for label in labels + palette:
+                if label not in (number, NO_SPHERE):
+                    here = self.now.entries[label] if label < number else None
+                    return here or self.entry_before(label)
+        return None
+
+    # pixels
+
+    def shift(self, k):
+        """How far the pixels of block k look into the past planes."""
+        s, palette = self.stream, self.now.palettes[k]
+        if not any(self.motion) or not palette or palette[0] == NO_SPHERE:
+            return 0, 0
+        entry = self.now.entries[palette[0]]
+        x, y = 8 * (k % s.columns), 8 * (k // s.columns)
+        u, v = s.u[x + 4], s.v[y + 4]
+        w = inverse_depth(entry, u, v, s.q[y + 4, x + 4])
+        du, dv = F64(s.u[1]) - F64(s.u[0]), F64(s.v[1]) - F64(s.v[0])
+        sx, sy = shift_of(self.motion, F64(u), F64(v), F64(w), du, dv)
+        sx = min(max(sx, -x), 8 * s.columns - 8 - x)
+        sy = min(max(sy, -y), 8 * s.rows - 8 - y)
+        return sx, sy
+
+    def quad(self, k, n):
+        """The top left pixel of quad n of block k."""
+        s = self.stream
+        return 8 * (k % s.columns) + 4 * (n % 2), 8 * (k // s.columns) + 4 * (n // 2)
+
+    def in_past(self, plane, k, x, y, width, height):
+        """The cells of a past plane that these pixels of block k look at, row by row."""
+        x, y = x + self.shifts[k][0], y + self.shifts[k][1]
+        return [plane.at(x + i, y + j) for j in range(height) for i in range(width)]
+
+    def read_quads(self, coder):
+        s, now = self.stream, self.now
+        self.quads = [[fill] * 4 for fill in now.fills]
+        for k in range(s.blocks):
+            for n in range(4):
+                x, y = self.quad(k, n)
+                if now.fills[k] == MIXED:
+                    inside = x < s.width and y < s.height
+                    self.quads[k][n] = self.read_quad(coder, k, n) if inside else EMPTY
+                if self.quads[k][n] == FULL:
+                    now.mask.inner[y : min(y + 4, s.height), x : min(x + 4, s.width)] = 1
+
+    def read_quad(self, coder, k, n):
+        c = 0
+        for dx, dy in [(-1, 0), (0, -1), (1, 0), (0, 1)]:
+            x, y = n % 2 + dx, n // 2 + dy
+            later = dx + dy > 0
+            if 0 <= x < 2 and 0 <= y < 2:
+                fill = MIXED if later else self.quads[k][2 * y + x]
+            else:
+                there = self.neighbour(k, dx, dy)
+                if there is None:
+                    fill = EMPTY
+                elif later:
+                    fill = self.now.fills[there]
+                else:
+                    fill = self.quads[there][2 * (y % 2) + x % 2]
+            c = 3 * c + fill
+        past = 3
+        if self.past:
+            measured = sum(self.in_past(self.past.mask, k, *self.quad(k, n), 4, 4))
+            past = {0: 0, 16: 1}.get(measured, 2)
+        c = 4 * c + past
+        if coder.bit(self.models.quad_full[c]):
+            return FULL
+        return EMPTY if coder.bit(self.models.quad_empty[c]) else MIXED
+
+    def read_mask(self, coder):
+        now, past = self.now, self.past
+        near = [(-1, 0), (-2, 0), (-1, -1), (0, -1), (1, -1), (0, -2)]
+        wide = [(-3, 0), (-2, -1), (2, -1), (-1, -2), (1, -2)]
+        around = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+        for x, y, k in self.raster([fill == MIXED for fill in now.fills]):
+            if self.quads[k][y // 4 % 2 * 2 + x // 4 % 2] != MIXED:
+                continue
+            sx, sy = self.shifts[k]
+
+            def read(mask, places, x, y):
+                c = 0
+                for dx, dy in places:
+                    c = 2 * c + mask.at(x + dx, y + dy)
+                return c
+
+            n6 = read(now.mask, near, x, y)
+            few, nine = 8, 512
+            if past:
+                few = read(past.mask, [(0, 0), (1, 0), (0, 1)], x + sx, y + sy)
+                nine = read(past.mask, around, x + sx, y + sy)
+            cells = (64 * n6 + 4 * few + read(now.mask, [(1, 0), (0, 1)], x, y),)
+            cells += (32 * n6 + read(now.mask, wide, x, y),)
+            cells += (4 * nine + read(now.mask, [(-1, 0), (0, -1)], x, y),)
+            estimates = [m.at(c) for m, c in zip(self.models.mask, cells)]
+            now.mask.set(x, y, mixed_bit(coder, estimates, self.models.mask_weights.at(n6)))
+
+    def read_labels(self, coder):
+        labels = self.now.labels
+        for k, palette in enumerate(self.now.palettes):
+            x, y = self.quad(k, 0)
+            if len(palette) < 2:
+                labels.inner[y : y + 8, x : x + 8] = palette[0] if palette else NO_SPHERE
+                continue
+            sides = self.sides(k, palette)
+            for n in range(4):
+                x, y = self.quad(k, n)
+                if not self.now.mask.inner[y : y + 4, x : x + 4].any():
+                    labels.inner[y : y + 4, x : x + 4] = labels.at(x - 1, y)
+                elif coder.bit(self.models.split[self.split_context(k, n, palette, sides)]):
+                    self.read_quad_labels(coder, k, n, palette, sides)
+                else:
+                    labels.inner[y : y + 4, x : x + 4] = self.read_whole(coder, k, n, palette)
+
+    def sides(self, k, palette):
+        """For each entry but the last: front and close of the block's pixels, [y, x]."""
+        s, sides = self.stream, []
+        x, y = self.quad(k, 0)
+        here = np.s_[y : y + 8, x : x + 8]
+        u, v = s.u[None, x : x + 8], s.v[y : y + 8, None]
+        for pair in zip(palette, palette[1:]):
+            if NO_SPHERE in pair:
+                sides.append((np.zeros((8, 8), dtype=bool),) * 2)
+                continue
+            entries = [self.now.entries[label] for label in pair]
+            a, b = (s.per_metre / inverse_depth(entry, u, v, s.q[here]) for entry in entries)
+            close = np.abs(a - b) <= np.maximum(s.reach_floor, s.reach_growth * a * a)
+            sides.append((a < b, close))
+        return sides
+
+    @staticmethod
+    def kind(palette, entry, label):
+        """The class of a label."""
+        return 0 if label == palette[entry] else 1 if label in palette[entry + 1 :] else 2
+
+    def split_context(self, k, n, palette, sides):
+        at = self.now.labels.at
+        x, y = self.quad(k, n)
+        w, nn = at(x - 1, y), at(x, y - 1)
+        west = all(at(x - 1, y + i) == w for i in range(4))
+        north = all(at(x + i, y - 1) == nn for i in range(4))
+        if west and north:
+            agree = 1 if w != nn else 0 if w in palette else 4
+        else:
+            agree = 2 if west or north else 3
+        past = 2
+        if self.past:
+            past = int(len(set(self.in_past(self.past.labels, k, x, y, 4, 4))) > 1)
+        here = np.s_[y % 8 : y % 8 + 4, x % 8 : x % 8 + 4]
+        front, close = (int(plane[here].sum()) for plane in sides[0])
+        near = {0: 0, 16: 2}.get(close, 1)
+        return (((agree * 3 + past) * 2 + (0 < front < 16)) * 3 + near) * 3 + len(palette) - 2
+
+    def read_whole(self, coder, k, n, palette):
+        at = self.now.labels.at
+        x, y = self.quad(k, n)
+        east = x + 3 if n == 3 else x + 4
+        around = [at(x - 1, y + 1), at(x + 1, y - 1), at(x - 1, y - 1), at(east, y - 1)]
+        past = self.past and self.in_past(self.past.labels, k, x + 1, y + 1, 1, 1)
+        around += past or [NO_SPHERE]
+        entry = 0
+        while entry < len(palette) - 1:
+            c = 0
+            for label in around:
+                c = 3 * c + self.kind(palette, entry, label)
+            if coder.bit(self.models.whole[entry * 243 + c]):
+                break
+            entry += 1
+        return palette[entry]
+
+    def read_quad_labels(self, coder, k, n, palette, sides):
+        x, y = self.quad(k, n)
+        for y in range(y, y + 4):
+            for i in range(4):
+                if not self.now.mask.at(x + i, y):
+                    self.now.labels.set(x + i, y, self.now.labels.at(x + i - 1, y))
+                else:
+                    self.read_label(coder, k, n, palette, sides, x + i, y)
+
+    def read_label(self, coder, k, n, palette, sides, x, y):
+        labels, models = self.now.labels, self.models
+        up = labels.at(x, y - 1)
+        no_east = x % 4 == 3 and (y % 4 != 0 or n == 3)
+        near = [labels.at(x - 1, y), up, labels.at(x - 1, y - 1)]
+        near.append(up if no_east else labels.at(x + 1, y - 1))
+        past = None
+        if self.past:
+            (here, east), (south, _) = np.reshape(
+                self.in_past(self.past.labels, k, x, y, 2, 2), (2, 2)
+            ).tolist()
+            past = here, east, south
+        entry = 0
+        while entry < len(palette) - 1:
+            w, north, nw, ne = (self.kind(palette, entry, label) for label in near)
+            p = (2, 2, 2)
+            if past:
+                p = tuple(self.kind(palette, entry, label) for label in past)
+            front, close = sides[entry]
+            side = front[y % 8, x % 8]
+            cross_w = 2 if x % 8 == 0 else int(side != front[y % 8, x % 8 - 1])
+            cross_n = 2 if y % 8 == 0 else int(side != front[y % 8 - 1, x % 8])
+            cells = (
+                (entry, w, north, nw, ne, p[0]),
+                (entry, cross_w, cross_n, bool(side), bool(close[y % 8, x % 8]), w, north),
+                (entry, *p, w, north),
+            )
+            estimates = [m.at(c) for m, c in zip(models.label, cells)]
+            if mixed_bit(coder, estimates, models.label_weights.at(entry, w, north)):
+                break
+            entry += 1
+        labels.set(x, y, palette[entry])
 
     # prediction
 
@@ -394,11 +582,8 @@ class Frame:
         for number, entry in enumerate(self.now.entries):
             if entry is None:
                 continue
-            m = entry.m
-            l = m[0] * u + m[1] * v + m[2]
-            root = np.sqrt(l * l + (F32(4) * entry.a) * s.q)
-            w = F32(0.5) * (l - root if entry.far else l + root)
-            self.depth = np.where(labels == number, s.per_metre / w, self.depth)
+            depth = s.per_metre / inverse_depth(entry, u, v, s.q)
+            self.depth = np.where(labels == number, depth, self.depth)
         assert self.depth.dtype == F32
         whole = np.nan_to_num(self.depth + F32(0.5), nan=0.0, posinf=65535.0, neginf=0.0)
         self.whole = np.clip(whole, 0, 65535).astype(np.int64)

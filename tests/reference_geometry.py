@@ -133,9 +133,15 @@ class Chart:
         return a, [mx, my, mz]
 
 
-def move(entry, motion):
-    if entry is None:
-        return None
+def inverse_depth(entry, u, v, q):
+    """0.5·(l ± root) of §1.6, "Prediction", f32."""
+    l = entry.m[0] * u + entry.m[1] * v + entry.m[2]
+    root = np.sqrt(l * l + (F32(4) * entry.a) * q)
+    return F32(0.5) * (l - root if entry.far else l + root)
+
+
+def turn_and_shift(motion):
+    """R and t of §1.7."""
     x, y, z = (F64(n) / 65536.0 for n in motion[:3])
     t = [F64(n) / 16384.0 for n in motion[3:]]
     n = 1.0 + x * x + y * y + z * z
@@ -144,7 +150,28 @@ def move(entry, motion):
         [2.0 * (x * y + z), 1.0 - x * x + y * y - z * z, 2.0 * (y * z - x)],
         [2.0 * (x * z - y), 2.0 * (y * z + x), 1.0 - x * x - y * y + z * z],
     ]
-    r = [[value / n for value in row] for row in r]
+    return [[value / n for value in row] for row in r], t
+
+
+def shift_of(motion, u, v, w, du, dv):
+    """How many pixels right and down the point of inverse depth w on the ray (u, v) was."""
+    r, t = turn_and_shift(motion)
+    z = 1.0 / w
+    e = [u * z - t[0], v * z - t[1], z - t[2]]
+    p = [r[0][k] * e[0] + r[1][k] * e[1] + r[2][k] * e[2] for k in range(3)]
+    return whole64((p[0] / p[2] - u) / du + 0.5), whole64((p[1] / p[2] - v) / dv + 0.5)
+
+
+def whole64(x):
+    """int(floor(x)), 64 bits."""
+    x = np.floor(x)
+    return 0 if np.isnan(x) else int(min(max(x, -(2.0**63)), 2.0**63 - 1024))
+
+
+def move(entry, motion):
+    if entry is None:
+        return None
+    r, t = turn_and_shift(motion)
     a, m = F64(entry.a), [F64(c) for c in entry.m]
     turned = [row[0] * m[0] + row[1] * m[1] + row[2] * m[2] for row in r]
     tt = t[0] * t[0] + t[1] * t[1] + t[2] * t[2]
