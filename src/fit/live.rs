@@ -16,7 +16,7 @@
 
 use super::agglomerate::{Agglomeration, Patch};
 use super::contact_distance::ContactDistance;
-use super::contacts::{View, assign_row, touching};
+use super::contacts::{View, touching};
 use super::moments::{self, Moments};
 use super::motion::Motion;
 use super::{cold, warm};
@@ -210,8 +210,7 @@ impl Modeler {
         let warm = !self.slots.is_empty();
         if warm {
             self.warm_start(&mut report);
-            self.pending.fill(true);
-            self.touch(false);
+            self.touch(false, time_is_up, &mut report);
         }
         self.fit(warm, time_is_up, &mut report);
         self.adopt();
@@ -287,13 +286,12 @@ impl Modeler {
                 return;
             }
             self.sync_spheres();
-            self.touch(warm || round > 0);
+            self.touch(warm || round > 0, time_is_up, report);
         }
     }
 
-    /// Pass 3: pixels of the pending blocks to spheres.
-    fn touch(&mut self, again: bool) {
-        let columns = self.rays.block_columns;
+    /// Pass 3: pixels to spheres, those of all blocks or, `again`, of the pending ones.
+    fn touch(&mut self, again: bool, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
         let blocks = &mut self.blocks;
         let view = View {
             plane: &self.plane,
@@ -301,16 +299,14 @@ impl Modeler {
             valid: &blocks.valid,
             spheres: &blocks.spheres,
             before: &blocks.before,
-            pending: &self.pending,
             fresh: again.then_some(&self.cold.fresh),
             surfaces: &self.frame.spheres,
             contact: &self.contact,
         };
-        blocks
-            .contacts
-            .par_chunks_mut(columns)
-            .enumerate()
-            .for_each(|(by, row)| assign_row(&view, by, row));
+        if !again {
+            view.hold(&mut blocks.contacts, &mut self.pending);
+        }
+        report.degraded |= !view.divide(&mut blocks.contacts, &self.pending, time_is_up);
     }
 
     /// What the last round left untouched is offered to the spheres of the blocks around, all that
