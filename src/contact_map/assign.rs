@@ -16,6 +16,15 @@ pub const CANDIDATES: usize = 10;
 
 /// Bits a pixel costs that no sphere of its block explains.
 const MISS_BITS: u32 = 9;
+/// Half bits that a pair of neighbours costs of which only one is explained: what noise scatters is
+/// not worth a sphere. (9 and not 0 saves 7 % of the bits of D435 and D455 sequences at less error.)
+const RAGGED_BITS: u32 = 9;
+/// Bits of a border between two pixels of one block.
+const BORDER_BITS: u32 = 1;
+/// Bits of one more sphere's name in a block.
+const NAME_BITS: u32 = 12;
+/// Bits of a pixel beyond reach along the ray.
+const ROUGH_BITS: u32 = 4;
 /// A block with at most so many pixels beyond reach is not divided further.
 const SETTLED: u32 = 2;
 /// Where all but so many pixels are within reach of the block's own spheres none around is tried.
@@ -43,7 +52,7 @@ const _: () = assert!(CANDIDATES < LANES);
 
 impl Candidates {
     /// Adds a sphere unless it is there already, is none, or the list is full.
-    #[inline]
+    #[inline(always)]
     pub fn add(&mut self, id: u16) {
         let mut same = 0u32;
         for (i, &known) in self.ids.iter().enumerate() {
@@ -74,6 +83,8 @@ pub struct BlockContacts {
     pub missing: u64,
     /// Measured pixels that are beyond reach along the ray: these and more.
     pub rough: u64,
+    /// Bits its labels and what is beyond reach cost, about.
+    pub price: u32,
 }
 
 impl Default for BlockContacts {
@@ -83,6 +94,28 @@ impl Default for BlockContacts {
             pixels: [0; PALETTE],
             missing: 0,
             rough: 0,
+            price: 0,
+        }
+    }
+}
+
+impl BlockContacts {
+    /// Takes the spheres for which `gone` is true off the block: what was theirs is untouched.
+    pub fn release(&mut self, gone: impl Fn(u16) -> bool) {
+        let before = *self;
+        (self.palette, self.pixels) = (EMPTY, [0; PALETTE]);
+        let mut kept = 0;
+        for (&id, &pixels) in before.palette.iter().zip(&before.pixels) {
+            if id == NO_SPHERE {
+                break;
+            }
+            if gone(id) {
+                self.missing |= pixels;
+                self.rough |= pixels;
+            } else {
+                (self.palette[kept], self.pixels[kept]) = (id, pixels);
+                kept += 1;
+            }
         }
     }
 }
@@ -140,6 +173,19 @@ impl Block<'_> {
         out
     }
 
+    /// All to `id`, which is known to lie within reach of everything here.
+    #[inline(always)]
+    #[must_use]
+    pub fn whole(&self, id: u16) -> BlockContacts {
+        self.alone(
+            id,
+            Touch {
+                touching: self.valid,
+                along_ray: self.valid,
+            },
+        )
+    }
+
     /// Tries `first` alone. True where it explains (nearly) all and the block is done; what touches
     /// it is its own either way.
     #[inline(always)]
@@ -151,11 +197,7 @@ impl Block<'_> {
                 .contact
                 .along_ray(self.plane, self.rays, self.at, sphere);
             if self.valid & !near == 0 && self.valid.count_ones() > 8 {
-                let all = Touch {
-                    touching: self.valid,
-                    along_ray: self.valid,
-                };
-                return (self.alone(first, all), true);
+                return (self.whole(first), true);
             }
         }
         let own = self.touch(first);
@@ -185,7 +227,12 @@ impl Block<'_> {
         for around in [false, true] {
             let known = candidates.len;
             gather(&mut candidates, around);
-            for (k, touch) in touch.iter_mut().enumerate().take(candidates.len).skip(known) {
+            for (k, touch) in touch
+                .iter_mut()
+                .enumerate()
+                .take(candidates.len)
+                .skip(known)
+            {
                 let id = candidates.ids[k];
                 *touch = if id == first { own } else { self.touch(id) };
                 if self.settles(*touch) {
@@ -195,9 +242,7 @@ impl Block<'_> {
                 apart &= !touch.touching;
             }
             // the spheres that were here before still divide it among them
-            if beyond.count_ones() <= ENOUGH
-                || (apart == 0 && beyond.count_ones() <= 2 * ENOUGH)
-            {
+            if beyond.count_ones() <= ENOUGH || (apart == 0 && beyond.count_ones() <= 2 * ENOUGH) {
                 break;
             }
         }
@@ -218,7 +263,9 @@ fn cover(valid: u64, ids: &[u16], touch: &[Touch; CANDIDATES]) -> BlockContacts 
             let mut best = (0u32, 0usize);
             for (k, t) in touch.iter().enumerate().take(ids.len()) {
                 let pixels = if along_ray { t.along_ray } else { t.touching };
-                let gain = (pixels & !covered).count_ones() * MISS_BITS;
+                let new = pixels & !covered;
+                let gain =
+                    (MISS_BITS * new.count_ones()).saturating_sub(RAGGED_BITS * edges(new) / 2);
                 if gain > best.0 {
                     best = (gain, k);
                 }
@@ -266,7 +313,32 @@ fn cover(valid: u64, ids: &[u16], touch: &[Touch; CANDIDATES]) -> BlockContacts 
             out.palette[c] = NO_SPHERE;
         }
     }
+    out.price = price(&out);
     out
+}
+
+/// Neighbouring pixels of which one is in the set.
+#[inline(always)]
+fn edges(set: u64) -> u32 {
+    const RIGHT: u64 = 0x7F7F_7F7F_7F7F_7F7F;
+    ((set ^ (set >> 1)) & RIGHT).count_ones() + ((set ^ (set >> 8)) & (u64::MAX >> 8)).count_ones()
+}
+
+/// What the labels of a divided block cost, bits.
+#[inline(always)]
+fn price(contacts: &BlockContacts) -> u32 {
+    let mut ends = edges(contacts.missing);
+    let mut spheres = 0u32;
+    for (&id, &pixels) in contacts.palette.iter().zip(&contacts.pixels) {
+        if id != NO_SPHERE {
+            ends += edges(pixels);
+            spheres += 1;
+        }
+    }
+    // every border is counted from both sides
+    BORDER_BITS * ends / 2
+        + NAME_BITS * spheres.saturating_sub(1)
+        + ROUGH_BITS * contacts.rough.count_ones()
 }
 
 /// Gives the pixels of `left` to the first `n` spheres, of which each reaches `reached`: in the

@@ -122,9 +122,11 @@ impl Contact {
         let stride = rays.stride();
         let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
         let mut touch = Touch::default();
-        let (Some(u), Some(v)) = (
+        let first = y0 * stride + x0;
+        let (Some(u), Some(v), Some(rows)) = (
             rays.u[x0..].first_chunk::<BLOCK>(),
             rays.v[y0..].first_chunk::<BLOCK>(),
+            plane.get(first..first + (BLOCK - 1) * stride + BLOCK),
         ) else {
             return touch;
         };
@@ -135,7 +137,7 @@ impl Contact {
         // columns of bits: bit j of lane i is row j, column i
         let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
         for j in (0..BLOCK).rev() {
-            let Some(row) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
+            let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() else {
                 return touch;
             };
             let (mv, vv) = (m.y * v[j], v[j] * v[j]);
@@ -145,13 +147,16 @@ impl Contact {
                 let (q, l) = (uu[i] + vv + 1.0, mu[i] + mv + m.z);
                 let meets = l * l + 4.0 * a * q >= 0.0;
                 let grown = self.per_z2 * (z * z);
-                let reach = if grown > self.floor { grown } else { self.floor };
+                let reach = if grown > self.floor {
+                    grown
+                } else {
+                    self.floor
+                };
                 let squared = reach * reach;
                 let aqz = a * q * z;
                 let value = (aqz + l) * z - 1.0;
                 let (length, within) = (q.sqrt(), side * (aqz + aqz + l) * reach);
-                let reached =
-                    (value + a_short * squared).abs() * length <= self.along_ray * within;
+                let reached = (value + a_short * squared).abs() * length <= self.along_ray * within;
                 along[i] = (along[i] + along[i]) | u32::from(reached & meets);
                 if BOTH {
                     let close = (value - a * squared).abs() <= slope * reach;
@@ -187,11 +192,28 @@ fn transposed(columns: [u32; BLOCK]) -> u64 {
 #[must_use]
 pub fn measured(plane: &[u16], rays: &Rays, at: (usize, usize)) -> u64 {
     let stride = rays.stride();
+    let first = at.1 * BLOCK * stride + at.0 * BLOCK;
+    let Some(rows) = plane.get(first..first + (BLOCK - 1) * stride + BLOCK) else {
+        return 0;
+    };
+    // most blocks are full
+    let mut least = [u16::MAX; BLOCK];
+    for j in 0..BLOCK {
+        if let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() {
+            for i in 0..BLOCK {
+                least[i] = least[i].min(row[i]);
+            }
+        }
+    }
+    if least.iter().all(|&raw| raw != 0) {
+        return u64::MAX;
+    }
     let mut on = [0u32; BLOCK];
     for j in 0..BLOCK {
-        let start = (at.1 * BLOCK + j) * stride + at.0 * BLOCK;
-        for (on, &raw) in on.iter_mut().zip(&plane[start..start + BLOCK]) {
-            *on |= u32::from(raw != 0) << j;
+        if let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() {
+            for i in 0..BLOCK {
+                on[i] |= u32::from(row[i] != 0) << j;
+            }
         }
     }
     transposed(on)
