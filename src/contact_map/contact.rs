@@ -91,42 +91,78 @@ impl Contact {
     #[inline(always)]
     #[must_use]
     pub fn pixels(&self, plane: &[u16], rays: &Rays, at: (usize, usize), sphere: &Sphere) -> Touch {
+        self.test::<true>(plane, rays, at, sphere)
+    }
+
+    /// Of [`pixels`](Self::pixels) those within reach along the ray alone, which is cheaper.
+    #[inline(always)]
+    #[must_use]
+    pub fn along_ray(
+        &self,
+        plane: &[u16],
+        rays: &Rays,
+        at: (usize, usize),
+        sphere: &Sphere,
+    ) -> u64 {
+        self.test::<false>(plane, rays, at, sphere).along_ray
+    }
+
+    /// The tests, `touching` only where `BOTH`.
+    ///
+    /// `|F + a·τ²|·√q ≤ τ·F′` cannot hold where the slope `F′` is negative (the other side), so
+    /// its sign is not asked.
+    #[inline(always)]
+    fn test<const BOTH: bool>(
+        &self,
+        plane: &[u16],
+        rays: &Rays,
+        at: (usize, usize),
+        sphere: &Sphere,
+    ) -> Touch {
         let stride = rays.stride();
         let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
         let mut touch = Touch::default();
-        let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
+        let first = y0 * stride + x0;
+        let (Some(u), Some(v), Some(rows)) = (
+            rays.u[x0..].first_chunk::<BLOCK>(),
+            rays.v[y0..].first_chunk::<BLOCK>(),
+            plane.get(first..first + (BLOCK - 1) * stride + BLOCK),
+        ) else {
             return touch;
         };
         let (a, m, side) = (sphere.a, sphere.m, if sphere.far { -1.0 } else { 1.0 });
         let slope = (m.length_squared() + 4.0 * a).max(0.0).sqrt();
+        let (a_short, a_long) = (a * self.along_ray * self.along_ray, a * BEYOND * BEYOND);
+        let (uu, mu) = (u.map(|u| u * u), u.map(|u| m.x * u));
         // columns of bits: bit j of lane i is row j, column i
         let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
-        for j in 0..BLOCK {
-            let Some(row) = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>() else {
+        for j in (0..BLOCK).rev() {
+            let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() else {
                 return touch;
             };
-            let v = rays.v[y0 + j];
-            let (mv, vv) = (m.y * v, v * v);
+            let (mv, vv) = (m.y * v[j], v[j] * v[j]);
             for i in 0..BLOCK {
                 let z = f32::from(row[i]) * rays.unit;
                 // the decoder's arithmetic: whether the ray meets the sphere must not differ
-                let (q, l) = (u[i] * u[i] + vv + 1.0, m.x * u[i] + mv + m.z);
+                let (q, l) = (uu[i] + vv + 1.0, mu[i] + mv + m.z);
                 let meets = l * l + 4.0 * a * q >= 0.0;
-                let (zz, lz) = (z * z, l * z);
-                let reach = self.floor.max(self.per_z2 * zz);
-                let short = reach * self.along_ray;
+                let grown = self.per_z2 * (z * z);
+                let reach = if grown > self.floor {
+                    grown
+                } else {
+                    self.floor
+                };
+                let squared = reach * reach;
                 let aqz = a * q * z;
-                let value = aqz * z + lz - 1.0;
-                let close = (value - a * reach * reach).abs() <= slope * reach;
-                let long = reach * BEYOND;
-                let (over, along_slope) = (value + a * short * short, side * (aqz + aqz + l));
-                let (over, within) = (over * over * q, short * along_slope);
-                let reached = (over <= within * within) & (along_slope > 0.0) & meets;
-                let (over, within) = (value + a * long * long, long * along_slope);
-                let on_ray = (over * over * q <= within * within) & (along_slope > 0.0);
-                let touches = close & on_ray & meets;
-                near[i] |= u32::from(touches) << j;
-                along[i] |= u32::from(reached) << j;
+                let value = (aqz + l) * z - 1.0;
+                let (length, within) = (q.sqrt(), side * (aqz + aqz + l) * reach);
+                let reached = (value + a_short * squared).abs() * length <= self.along_ray * within;
+                along[i] = (along[i] + along[i]) | u32::from(reached & meets);
+                if BOTH {
+                    let close = (value - a * squared).abs() <= slope * reach;
+                    let on_ray = (value + a_long * squared).abs() * length <= BEYOND * within;
+                    near[i] = (near[i] + near[i]) | u32::from(close & on_ray & meets);
+                }
             }
         }
         touch.touching = transposed(near);
@@ -156,11 +192,28 @@ fn transposed(columns: [u32; BLOCK]) -> u64 {
 #[must_use]
 pub fn measured(plane: &[u16], rays: &Rays, at: (usize, usize)) -> u64 {
     let stride = rays.stride();
+    let first = at.1 * BLOCK * stride + at.0 * BLOCK;
+    let Some(rows) = plane.get(first..first + (BLOCK - 1) * stride + BLOCK) else {
+        return 0;
+    };
+    // most blocks are full
+    let mut least = [u16::MAX; BLOCK];
+    for j in 0..BLOCK {
+        if let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() {
+            for i in 0..BLOCK {
+                least[i] = least[i].min(row[i]);
+            }
+        }
+    }
+    if least.iter().all(|&raw| raw != 0) {
+        return u64::MAX;
+    }
     let mut on = [0u32; BLOCK];
     for j in 0..BLOCK {
-        let start = (at.1 * BLOCK + j) * stride + at.0 * BLOCK;
-        for (on, &raw) in on.iter_mut().zip(&plane[start..start + BLOCK]) {
-            *on |= u32::from(raw != 0) << j;
+        if let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() {
+            for i in 0..BLOCK {
+                on[i] |= u32::from(row[i] != 0) << j;
+            }
         }
     }
     transposed(on)

@@ -76,6 +76,9 @@ impl Ord for Union {
     }
 }
 
+/// Pairs of patches priced between two looks at the clock.
+const STRIDE: u32 = 128;
+
 /// No entry.
 const NONE: u32 = u32::MAX;
 
@@ -195,11 +198,17 @@ impl Agglomeration {
         &self.patches[k as usize]
     }
 
-    /// Unites touching patches, best saving first, while there is one and `stop` says false.
-    /// `allowed` restricts which pairs may be united (patches of one cell).
-    pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) {
+    /// Unites touching patches, best saving first, while there is one and `stop` says false: it is
+    /// asked once in [`STRIDE`] pairs. `allowed` restricts which pairs may be united (patches of one
+    /// cell). False where it was stopped.
+    pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) -> bool {
         self.heap.clear();
         self.seen.resize(self.patches.len(), 0);
+        let mut pairs = 0u32;
+        let mut stopped = || {
+            pairs += 1;
+            pairs.is_multiple_of(STRIDE) && stop()
+        };
         for a in 0..self.patches.len() as u32 {
             if self.root(a) != a {
                 continue;
@@ -211,16 +220,21 @@ impl Agglomeration {
                 let b = self.root(to);
                 if a < b && self.seen[b as usize] != self.stamp && allowed(a, b) {
                     self.seen[b as usize] = self.stamp;
+                    if stopped() {
+                        return false;
+                    }
                     self.propose(a, b);
                 }
                 entry = next;
             }
         }
-        let mut steps = 0u32;
         while let Some(best) = self.heap.pop() {
             let (a, b) = (self.root(best.a), self.root(best.b));
             if a == b {
                 continue;
+            }
+            if stopped() {
+                return false;
             }
             // one of the two has grown since: priced anew now that its turn has come
             let age = self.age[a as usize].wrapping_add(self.age[b as usize]);
@@ -230,12 +244,9 @@ impl Agglomeration {
                 }
                 continue;
             }
-            steps += 1;
-            if steps.is_multiple_of(64) && stop() {
-                break;
-            }
             self.unite(a, b);
         }
+        true
     }
 
     fn propose(&mut self, a: u32, b: u32) {

@@ -23,6 +23,16 @@ const FALLBACK_BITS: f64 = 5.0;
 const ATOM_POINTS: u32 = 8;
 /// Fewest points for which a new sphere is worth its bits.
 const SPHERE_POINTS: f64 = 10.0;
+/// The same where spheres of the last frame share most blocks out: what is smaller comes again in
+/// the next round if it is still left over.
+const FIRST_POINTS: f64 = 40.0;
+/// A block whose labels cost more than this may be better off with a surface of its own.
+const DEAR_BITS: u32 = 50;
+/// The same where time was up before all were united: coding many small ones takes longer than it
+/// saves.
+const HASTY_POINTS: f64 = 100.0;
+/// Blocks looked at between two looks at the clock.
+const STRIDE: u32 = 256;
 /// Fewest points beyond reach along the ray for which a surface they touch is not enough.
 const ROUGH_POINTS: u32 = 20;
 /// Bits each of four atoms may lose when a square of them becomes one.
@@ -53,6 +63,8 @@ pub(super) struct Problem<'a> {
     pub max_spheres: usize,
     /// Number of the frame, where the spheres already there take part.
     pub turn: Option<u32>,
+    /// True where the last frame's spheres have been tried.
+    pub warm: bool,
 }
 
 /// An atom: which block, which of its pixels, which cell.
@@ -74,6 +86,10 @@ pub(super) struct Workspace {
     square: Vec<bool>,
     /// Atoms that are part of another's union, and its slot.
     given: Vec<(u32, u16)>,
+    /// Block at which the search for atoms was broken off.
+    resume: usize,
+    /// Most blocks to look at, as many as there was time for lately.
+    most: u32,
     /// Slots of spheres that are new or other surfaces than before the last call.
     pub(super) fresh: Vec<bool>,
     /// For each slot that was here before: the slot that has its points now, and is another surface.
@@ -87,6 +103,7 @@ impl Workspace {
             node_of_slot: Vec::with_capacity(spheres),
             heir: Vec::with_capacity(spheres),
             fresh: Vec::with_capacity(spheres),
+            most: u32::MAX,
             ..Self::default()
         }
     }
@@ -108,29 +125,79 @@ pub(super) fn fit(
     report: &mut FitReport,
 ) -> bool {
     begin(blocks.len(), graph, work);
-    for k in 0..blocks.len() {
-        let contacts = &blocks.contacts[k];
-        // a surface that is off along the ray costs residuals: where many, it is fitted anew
-        let missing = if contacts.rough.count_ones() >= ROUGH_POINTS {
-            contacts.rough
-        } else {
-            contacts.missing
-        };
-        if missing.count_ones() >= ATOM_POINTS {
-            report.cold_pixels += missing.count_ones();
-            let whole = missing == blocks.valid[k] && blocks.moments[k].count > 0.0;
-            let whole = whole.then_some(&blocks.moments[k]);
-            atoms_of(problem, k, missing, whole, graph, work);
-        }
-    }
+    let (looked, all) = gather(problem, blocks, graph, work, time_is_up, report);
     if work.atoms.is_empty() {
         return false;
     }
     squares(problem.rays, graph, work);
-    connect(problem, blocks, slots, graph, work);
-    settle(problem, blocks, slots, graph, work, time_is_up, report);
+    let united =
+        connect(problem, blocks, slots, graph, work, time_is_up) && unite(graph, work, time_is_up);
+    // atoms that are not united are worth little: the next frame takes on what there is time for
+    work.most = if united && !time_is_up() {
+        work.most.saturating_mul(2).max(looked)
+    } else {
+        (looked / 2).max(STRIDE)
+    };
+    report.degraded |= !(united && all);
+    settle(problem, blocks, slots, graph, work, united, report);
     mark(problem.rays, blocks, work, pending);
     true
+}
+
+/// Makes the atoms: first of whole blocks, whose moments are there already and which explain most
+/// points for the time, then of parts of blocks. Where time is up the search ends and goes on from
+/// there in the next frame; some blocks are always looked at, so that every frame gets on. Returns
+/// how many were, and whether these were all.
+fn gather(
+    problem: &Problem<'_>,
+    blocks: &Blocks,
+    graph: &mut Agglomeration,
+    work: &mut Workspace,
+    time_is_up: &dyn Fn() -> bool,
+    report: &mut FitReport,
+) -> (u32, bool) {
+    let count = blocks.len();
+    let begin = std::mem::take(&mut work.resume) % count.max(1);
+    let mut looked = 0u32;
+    for whole_blocks in [true, false] {
+        for k in (begin..count).chain(0..begin) {
+            let missing = untouched(problem, blocks, k);
+            let whole = missing == blocks.valid[k] && blocks.moments[k].count > 0.0;
+            let done = work.of_block[k][0] != NONE;
+            if missing.count_ones() < ATOM_POINTS || done || (whole_blocks && !whole) {
+                continue;
+            }
+            looked += 1;
+            if looked > work.most || (looked.is_multiple_of(STRIDE) && time_is_up()) {
+                work.resume = k;
+                return (looked, false);
+            }
+            if whole_blocks {
+                report.cold_pixels += missing.count_ones();
+                push_atom(problem, k, blocks.moments[k], graph, work);
+                continue;
+            }
+            if !whole {
+                report.cold_pixels += missing.count_ones();
+            }
+            atoms_of(problem, k, missing, whole, graph, work);
+        }
+    }
+    (looked, true)
+}
+
+/// Pixels of block `k` that are to be fitted.
+fn untouched(problem: &Problem<'_>, blocks: &Blocks, k: usize) -> u64 {
+    let contacts = &blocks.contacts[k];
+    if problem.turn.is_some() && contacts.price > DEAR_BITS && blocks.moments[k].count > 0.0 {
+        // divided so finely that a surface of its own may be cheaper
+        blocks.valid[k]
+    } else if contacts.rough.count_ones() >= ROUGH_POINTS {
+        // a surface that is off along the ray costs residuals: where many, it is fitted anew
+        contacts.rough
+    } else {
+        contacts.missing
+    }
 }
 
 /// Marks the blocks that a new sphere or a change of one may concern.
@@ -171,47 +238,54 @@ fn begin(blocks: usize, graph: &mut Agglomeration, work: &mut Workspace) {
     work.of_block.resize(blocks, [NONE; 2]);
 }
 
-/// Makes the atoms of one block: one where its pixels lie on one surface, else the near and the
-/// far part, each where it does.
+/// Makes the atoms of a part of a block: one where its pixels lie on one surface, else the near and
+/// the far part, each where it does. A `whole` block has been tried as one.
 fn atoms_of(
     problem: &Problem<'_>,
     k: usize,
     pixels: u64,
-    whole: Option<&Moments>,
+    whole: bool,
     graph: &mut Agglomeration,
     work: &mut Workspace,
 ) {
     let columns = problem.rays.block_columns;
     let at = (k % columns, k / columns);
     let sums = |keep: u64| sums_of(problem.plane, problem.rays, at, keep, problem.distance);
-    let mut push = |m: Moments, graph: &mut Agglomeration| -> bool {
-        let Some(patch) = Patch::new(m) else {
-            return false;
-        };
-        if patch.fit.misfit > ATOM_MISFIT && patch.bits > FALLBACK_BITS * patch.moments.count {
-            return false;
-        }
-        let (w, u, v) = m.mean();
-        let p = Vec3::new((u / w) as f32, (v / w) as f32, (1.0 / w) as f32);
-        let node = graph.push(patch);
-        work.atoms.push(Atom {
-            block: k as u32,
-            cell: problem.lattice.nearest(p),
-        });
-        let entry = &mut work.of_block[k];
-        entry[usize::from(entry[0] != NONE)] = node;
-        true
-    };
-    let all = whole.copied().unwrap_or_else(|| sums(pixels));
-    if push(all, graph) {
+    if !whole && push_atom(problem, k, sums(pixels), graph, work) {
         return;
     }
     let (near, far) = divide(problem, at, pixels);
     for part in [near, far] {
         if part.count_ones() >= ATOM_POINTS {
-            push(sums(part), graph);
+            push_atom(problem, k, sums(part), graph, work);
         }
     }
+}
+
+/// Makes these points of block `k` an atom where they lie on one surface.
+fn push_atom(
+    problem: &Problem<'_>,
+    k: usize,
+    moments: Moments,
+    graph: &mut Agglomeration,
+    work: &mut Workspace,
+) -> bool {
+    let Some(patch) = Patch::new(moments) else {
+        return false;
+    };
+    if patch.fit.misfit > ATOM_MISFIT && patch.bits > FALLBACK_BITS * patch.moments.count {
+        return false;
+    }
+    let (w, u, v) = moments.mean();
+    let p = Vec3::new((u / w) as f32, (v / w) as f32, (1.0 / w) as f32);
+    let node = graph.push(patch);
+    work.atoms.push(Atom {
+        block: k as u32,
+        cell: problem.lattice.nearest(p),
+    });
+    let entry = &mut work.of_block[k];
+    entry[usize::from(entry[0] != NONE)] = node;
+    true
 }
 
 /// Moments of the pixels of `keep`.
@@ -304,7 +378,8 @@ fn connect(
     slots: &[Option<Patch>],
     graph: &mut Agglomeration,
     work: &mut Workspace,
-) {
+    time_is_up: &dyn Fn() -> bool,
+) -> bool {
     let (columns, rows) = (problem.rays.block_columns, problem.rays.block_rows);
     work.node_of_slot.clear();
     if problem.turn.is_some() {
@@ -318,6 +393,9 @@ fn connect(
     let turn = problem.turn.unwrap_or(0);
     let sphere = |k: usize| blocks.contacts[k].palette[0];
     for k in 0..blocks.len() {
+        if (k as u32 + 1).is_multiple_of(2 * STRIDE) && time_is_up() {
+            return false;
+        }
         let (x, y) = (k % columns, k / columns);
         let right = (x + 1 < columns).then_some(k + 1);
         let below = (y + 1 < rows).then_some(k + columns);
@@ -351,6 +429,18 @@ fn connect(
             }
         }
     }
+    true
+}
+
+/// Unites the atoms, each other and with the spheres that are there: inside cells first. False where
+/// time was up before.
+fn unite(graph: &mut Agglomeration, work: &Workspace, time_is_up: &dyn Fn() -> bool) -> bool {
+    let atoms = &work.atoms;
+    let cell = |k: u32| atoms.get(k as usize).map(|a| a.cell);
+    // twice across cells: a pair that saved nothing may do so once both have grown
+    graph.run(|a, b| cell(a).is_some() && cell(a) == cell(b), time_is_up)
+        && graph.run(|_, _| true, time_is_up)
+        && graph.run(|_, _| true, time_is_up)
 }
 
 /// Graph nodes of a block: its atoms, or the sphere that has most of it.
@@ -369,24 +459,16 @@ fn nodes(k: usize, blocks: &Blocks, graph: &Agglomeration, work: &Workspace) -> 
     ]
 }
 
-/// Unites atoms, gives the unions to slots and the blocks their spheres.
+/// Gives the unions to slots and the blocks their spheres.
 fn settle(
     problem: &Problem<'_>,
     blocks: &mut Blocks,
     slots: &mut Vec<Option<Patch>>,
     graph: &mut Agglomeration,
     work: &mut Workspace,
-    time_is_up: &dyn Fn() -> bool,
+    united: bool,
     report: &mut FitReport,
 ) {
-    let atoms = &work.atoms;
-    let cell = |k: u32| atoms.get(k as usize).map(|a| a.cell);
-    graph.run(|a, b| cell(a).is_some() && cell(a) == cell(b), time_is_up);
-    // twice: a pair that saved nothing may do so once both have grown
-    graph.run(|_, _| true, time_is_up);
-    graph.run(|_, _| true, time_is_up);
-    report.degraded |= time_is_up();
-
     work.slot_of_root.clear();
     work.slot_of_root.resize(graph.len(), NO_SPHERE);
     // spheres already there: of those united the one with most points keeps its number
@@ -424,12 +506,19 @@ fn settle(
         }
     }
     // unions of atoms alone: new spheres, largest first
+    let least = if !united {
+        HASTY_POINTS
+    } else if problem.turn.is_some() && problem.warm {
+        FIRST_POINTS
+    } else {
+        SPHERE_POINTS
+    };
     work.roots.clear();
     for k in 0..work.atoms.len() as u32 {
         let root = graph.root(k);
         if root == k
             && work.slot_of_root[root as usize] == NO_SPHERE
-            && graph.patch(root).moments.count >= SPHERE_POINTS
+            && graph.patch(root).moments.count >= least
         {
             work.roots.push(root);
         }

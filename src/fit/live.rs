@@ -16,7 +16,7 @@
 
 use super::agglomerate::{Agglomeration, Patch};
 use super::contact_distance::ContactDistance;
-use super::contacts::{View, assign_row, touching};
+use super::contacts::{View, touching};
 use super::moments::{self, Moments};
 use super::motion::Motion;
 use super::{cold, warm};
@@ -89,6 +89,9 @@ pub(super) struct Blocks {
     pub spheres: Vec<[u16; 2]>,
     /// Pixels by sphere.
     pub contacts: Vec<BlockContacts>,
+    /// How far the block's moments lie from its sphere of the last frame (mean square, surface
+    /// distances); infinite where it has none.
+    pub misfit: Vec<f32>,
     /// Spheres that had pixels here in the last frame.
     pub before: Vec<Palette>,
 }
@@ -99,6 +102,7 @@ impl Blocks {
             valid: vec![0; count],
             moments: vec![Moments::default(); count],
             spheres: vec![NOTHING; count],
+            misfit: vec![f32::INFINITY; count],
             contacts: vec![BlockContacts::default(); count],
             before: vec![EMPTY; count],
         }
@@ -124,8 +128,17 @@ const TOUCH_SHARE: f64 = 0.95;
 /// Share of the contact distance, along the ray, that a sphere chosen for a pixel keeps.
 const RAY_SHARE: f64 = 0.85;
 
+/// A block's largest distance along the ray squared is at most its points' sum: with this factor
+/// (surface distances to reach, and room for the slope inside the block) a sum below 1 says that
+/// all of them are within reach.
+pub(super) const SUM_TO_REACH: f32 =
+    (SURFACE_SHARE * SURFACE_SHARE / (RAY_SHARE * RAY_SHARE) / 0.7) as f32;
+
 /// Fewest untouched pixels that are offered to the spheres around.
 const ADOPTED_PIXELS: u32 = 3;
+
+/// Blocks offered to their neighbours' spheres between two looks at the clock.
+const OFFERS: u32 = 128;
 
 /// Fewest pixels from which a block's surface is judged.
 pub(super) const MIN_BLOCK_PIXELS: u32 = 12;
@@ -217,11 +230,10 @@ impl Modeler {
         let warm = !self.slots.is_empty();
         if warm {
             self.warm_start(&mut report);
-            self.pending.fill(true);
-            self.touch(false);
+            self.touch(false, time_is_up, &mut report);
         }
         self.fit(warm, time_is_up, &mut report);
-        self.adopt();
+        self.adopt(time_is_up, &mut report);
         self.finish(out, &mut report);
         self.frames = self.frames.wrapping_add(1);
         report
@@ -241,6 +253,7 @@ impl Modeler {
                 measure_row(plane, rays, by, valid, moments, distance);
             });
         blocks.spheres.fill(NOTHING);
+        blocks.misfit.fill(f32::INFINITY);
         for (contacts, &valid) in blocks.contacts.iter_mut().zip(&blocks.valid) {
             *contacts = BlockContacts {
                 missing: valid,
@@ -280,6 +293,7 @@ impl Modeler {
                 max_spheres: self.options.max_spheres,
                 // old spheres are offered each other once in a while
                 turn: (round == 0).then_some(self.frames),
+                warm,
             };
             if !cold::fit(
                 &problem,
@@ -294,40 +308,44 @@ impl Modeler {
                 return;
             }
             self.sync_spheres();
-            self.touch(warm || round > 0);
+            self.touch(warm || round > 0, time_is_up, report);
         }
     }
 
-    /// Pass 3: pixels of the pending blocks to spheres.
-    fn touch(&mut self, again: bool) {
-        let columns = self.rays.block_columns;
+    /// Pass 3: pixels to spheres, those of all blocks or, `again`, of the pending ones.
+    fn touch(&mut self, again: bool, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
         let blocks = &mut self.blocks;
         let view = View {
             plane: &self.plane,
             rays: &self.rays,
             valid: &blocks.valid,
             spheres: &blocks.spheres,
+            misfit: &blocks.misfit,
             before: &blocks.before,
-            pending: &self.pending,
             fresh: again.then_some(&self.cold.fresh),
             surfaces: &self.frame.spheres,
             contact: &self.contact,
         };
-        blocks
-            .contacts
-            .par_chunks_mut(columns)
-            .enumerate()
-            .for_each(|(by, row)| assign_row(&view, by, row));
+        if !again {
+            view.hold(&mut blocks.contacts, &mut self.pending);
+        }
+        report.degraded |= !view.divide(&mut blocks.contacts, &self.pending, time_is_up);
     }
 
     /// What the last round left untouched is offered to the spheres of the blocks around, all that
     /// these were divided among.
-    fn adopt(&mut self) {
+    fn adopt(&mut self, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
         let (columns, rows) = (self.rays.block_columns, self.rays.block_rows);
+        let mut offered = 0u32;
         for k in 0..self.blocks.len() {
             let contacts = &self.blocks.contacts[k];
             if contacts.missing.count_ones() < ADOPTED_PIXELS {
                 continue;
+            }
+            offered += 1;
+            if offered.is_multiple_of(OFFERS) && time_is_up() {
+                report.degraded = true;
+                return;
             }
             let mut list = Candidates::default();
             let (x, y) = (k % columns, k / columns);

@@ -223,8 +223,15 @@ fn sum_of(a: [f32; BLOCK]) -> f32 {
     (b[0] + b[2]) + (b[1] + b[3])
 }
 
+/// Σ over a block's rows (or columns) of the squared distance from its middle, in steps.
+const SPREAD: f32 = 42.0;
+
+/// Lane numbers from the middle of a block, in steps.
+const FROM_MIDDLE: [f32; BLOCK] = [-3.5, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5];
+
 /// Mean depth of a block's pixels of `keep`, the centre (u, v, s, w) and the sums about it in the
-/// order of [`Moments::sums`]. `FULL` where `keep` is all of them.
+/// order of [`Moments::sums`]. `FULL` where `keep` is all of them: what depends on the grid alone is
+/// then known.
 #[inline(always)]
 fn local_sums<const FULL: bool>(
     plane: &[u16],
@@ -233,87 +240,99 @@ fn local_sums<const FULL: bool>(
     keep: u64,
 ) -> Option<(f64, [f64; 4], [f64; 15])> {
     const BIT: [u32; BLOCK] = [1, 2, 4, 8, 16, 32, 64, 128];
+    if keep == 0 {
+        return None;
+    }
     let stride = rays.stride();
     let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
     let u = rays.u[x0..].first_chunk::<BLOCK>()?;
     let v = rays.v[y0..].first_chunk::<BLOCK>()?;
-    let mut z = [[0f32; BLOCK]; BLOCK];
-    let mut total = [0f32; BLOCK];
-    let on = |j: usize| {
-        let bits = (keep >> (8 * j)) as u32;
-        BIT.map(|bit| if FULL || bits & bit != 0 { 1f32 } else { 0.0 })
+    let rows = plane.get(y0 * stride + x0..(y0 + BLOCK - 1) * stride + x0 + BLOCK)?;
+    // sums are taken about the depth of one of the pixels
+    let one = if FULL {
+        27
+    } else {
+        keep.trailing_zeros() as usize
     };
-    for j in 0..BLOCK {
-        let row = plane[(y0 + j) * stride + x0..].first_chunk::<BLOCK>()?;
-        let m = on(j);
-        for i in 0..BLOCK {
-            z[j][i] = f32::from(row[i]) * rays.unit;
-            total[i] += z[j][i] * m[i];
-        }
-    }
-    let count = keep.count_ones() as f32;
-    if count == 0.0 {
-        return None;
-    }
-    let z0 = sum_of(total) / count;
-    let (w0, u0, v0) = (
-        1.0 / z0,
-        u[0] + 3.5 * (u[1] - u[0]),
-        v[0] + 3.5 * (v[1] - v[0]),
-    );
+    let z0 = f32::from(rows[one / BLOCK * stride + one % BLOCK]) * rays.unit;
+    let (step_u, step_v) = ((u[7] - u[0]) / 7.0, (v[7] - v[0]) / 7.0);
+    let (w0, u0, v0) = (1.0 / z0, 0.5 * (u[3] + u[4]), 0.5 * (v[3] + v[4]));
     let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
-    // columns: sums over the rows of 1, v, vv, w, wv, ww, s, sv, ss, sw, all about the centre
-    let mut c = [[0f32; BLOCK]; 10];
-    let (mut du, mut uu1) = ([0f32; BLOCK], [0f32; BLOCK]);
-    for i in 0..BLOCK {
-        du[i] = u[i] - u0;
-        uu1[i] = u[i] * u[i] + 1.0;
-    }
+    let uu1 = u.map(|u| u * u + 1.0);
+    // columns: sums over the rows, v in steps
+    let zero = [0f32; BLOCK];
+    let (mut n, mut nv, mut nvv, mut total) = (zero, zero, zero, zero);
+    let (mut cw, mut cwv, mut cww) = (zero, zero, zero);
+    let (mut cs, mut csv, mut css, mut csw) = (zero, zero, zero, zero);
     for j in 0..BLOCK {
-        let (dv, vv, m) = (v[j] - v0, v[j] * v[j], on(j));
+        let row = rows[j * stride..].first_chunk::<BLOCK>()?;
+        let (dv, vv) = (FROM_MIDDLE[j], v[j] * v[j]);
+        let bits = (keep >> (8 * j)) as u32;
         for i in 0..BLOCK {
-            let w = m[i] * (1.0 / z[j][i].max(1e-6) - w0);
-            let s = m[i] * ((uu1[i] + vv) * z[j][i] - s0);
+            let z = f32::from(row[i]) * rays.unit;
             if FULL {
-                c[0][i] += 1.0;
-                c[1][i] += dv;
-                c[2][i] += dv * dv;
+                let w = 1.0 / z - w0;
+                let s = (uu1[i] + vv) * z - s0;
+                total[i] += z;
+                cw[i] += w;
+                cwv[i] += w * dv;
+                cww[i] += w * w;
+                cs[i] += s;
+                csv[i] += s * dv;
+                css[i] += s * s;
+                csw[i] += s * w;
             } else {
-                let mv = m[i] * dv;
-                c[0][i] += m[i];
-                c[1][i] += mv;
-                c[2][i] += mv * dv;
+                let m = if bits & BIT[i] != 0 { 1f32 } else { 0.0 };
+                // a pixel that is not kept may have no depth: it is divided by
+                let kept = if bits & BIT[i] != 0 { z } else { z0 };
+                let w = m * (1.0 / kept - w0);
+                let s = m * ((uu1[i] + vv) * kept - s0);
+                n[i] += m;
+                nv[i] += m * dv;
+                nvv[i] += m * (dv * dv);
+                total[i] += m * kept;
+                cw[i] += w;
+                cwv[i] += w * dv;
+                cww[i] += w * w;
+                cs[i] += s;
+                csv[i] += s * dv;
+                css[i] += s * s;
+                csw[i] += s * w;
             }
-            c[3][i] += w;
-            c[4][i] += w * dv;
-            c[5][i] += w * w;
-            c[6][i] += s;
-            c[7][i] += s * dv;
-            c[8][i] += s * s;
-            c[9][i] += s * w;
         }
     }
-    let sum = |k: usize| f64::from(sum_of(c[k]));
-    let dot = |k: usize| f64::from(sum_of(std::array::from_fn(|i| c[k][i] * du[i])));
-    let uu = f64::from(sum_of(std::array::from_fn(|i| c[0][i] * du[i] * du[i])));
+    let across = |c: [f32; BLOCK]| sum_of(std::array::from_fn(|i| c[i] * FROM_MIDDLE[i]));
+    let count = keep.count_ones() as f32;
+    // 1, u, v, uu, uv, vv
+    let grid = if FULL {
+        [count, 0.0, 0.0, 8.0 * SPREAD, 0.0, 8.0 * SPREAD]
+    } else {
+        let uu = std::array::from_fn(|i| n[i] * FROM_MIDDLE[i] * FROM_MIDDLE[i]);
+        let (u, uv) = (across(n), across(nv));
+        [count, u, sum_of(nv), sum_of(uu), uv, sum_of(nvv)]
+    };
     let sums = [
-        f64::from(count),
-        dot(0),
-        sum(1),
-        sum(6),
-        sum(3),
-        uu,
-        dot(1),
-        dot(6),
-        dot(3),
-        sum(2),
-        sum(7),
-        sum(4),
-        sum(8),
-        sum(9),
-        sum(5),
+        grid[0],
+        grid[1] * step_u,
+        grid[2] * step_v,
+        sum_of(cs),
+        sum_of(cw),
+        grid[3] * (step_u * step_u),
+        grid[4] * (step_u * step_v),
+        across(cs) * step_u,
+        across(cw) * step_u,
+        grid[5] * (step_v * step_v),
+        sum_of(csv) * step_v,
+        sum_of(cwv) * step_v,
+        sum_of(css),
+        sum_of(csw),
+        sum_of(cww),
     ];
-    Some((f64::from(z0), [u0, v0, s0, w0].map(f64::from), sums))
+    Some((
+        f64::from(sum_of(total) / count),
+        [u0, v0, s0, w0].map(f64::from),
+        sums.map(f64::from),
+    ))
 }
 
 /// Moments of the block at (`bx`, `by`) of a padded plane of depth integers (0 = invalid), with

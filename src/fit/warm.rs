@@ -29,6 +29,8 @@ pub(super) const TIGHT: f64 = 0.3;
 pub(super) struct Workspace {
     sums: Vec<Moments>,
     observations: Vec<Observation>,
+    /// Slots whose sphere was refitted.
+    changed: Vec<bool>,
     spheres: Vec<Option<Sphere>>,
     pub(super) used: Vec<u32>,
 }
@@ -38,6 +40,7 @@ impl Workspace {
     pub(super) fn with_room(spheres: usize) -> Self {
         Self {
             sums: Vec::with_capacity(spheres),
+            changed: Vec::with_capacity(spheres),
             spheres: Vec::with_capacity(spheres),
             used: Vec::with_capacity(spheres),
             ..Self::default()
@@ -57,9 +60,12 @@ pub(super) fn start(
         return Motion::default();
     }
     let motion = follow(rays, blocks, slots, distance, work);
-    choose(rays, blocks, slots, LOOSE);
+    work.changed.clear();
+    work.changed.resize(slots.len(), true);
+    choose(rays, blocks, slots, LOOSE, &work.changed);
+    work.changed.fill(false);
     refit(blocks, slots, work, report);
-    choose(rays, blocks, slots, TIGHT);
+    choose(rays, blocks, slots, TIGHT, &work.changed);
     for (spheres, valid) in blocks.spheres.iter().zip(&blocks.valid) {
         if spheres[0] != NO_SPHERE {
             report.warm_pixels += valid.count_ones();
@@ -135,11 +141,15 @@ fn price(blocks: &Blocks, chosen: impl Iterator<Item = usize>, spheres: &[Option
 }
 
 /// Gives each block the best of the last frame's spheres around it, where it is good enough.
-fn choose(rays: &Rays, blocks: &mut Blocks, slots: &[Option<Patch>], limit: f64) {
+/// A block that a sphere which is not `changed` holds well has been through this.
+fn choose(rays: &Rays, blocks: &mut Blocks, slots: &[Option<Patch>], limit: f64, changed: &[bool]) {
     let columns = rays.block_columns;
     let before = &blocks.before;
     for k in 0..before.len() {
-        if blocks.valid[k].count_ones() < MIN_BLOCK_PIXELS {
+        let is = blocks.spheres[k][0];
+        let holds = f64::from(blocks.misfit[k]) <= TIGHT
+            && changed.get(usize::from(is)).is_some_and(|c| !*c);
+        if holds || blocks.valid[k].count_ones() < MIN_BLOCK_PIXELS {
             continue;
         }
         let own = if blocks.spheres[k][0] == NO_SPHERE {
@@ -175,7 +185,9 @@ fn choose(rays: &Rays, blocks: &mut Blocks, slots: &[Option<Patch>], limit: f64)
                 }
             }
         }
-        blocks.spheres[k][0] = if best.0 <= limit { best.1 } else { NO_SPHERE };
+        let near = best.0 <= limit;
+        blocks.spheres[k][0] = if near { best.1 } else { NO_SPHERE };
+        blocks.misfit[k] = if near { best.0 as f32 } else { f32::INFINITY };
     }
 }
 
@@ -193,7 +205,8 @@ fn refit(
             sum.add(moments);
         }
     }
-    for (slot, sums) in slots.iter_mut().zip(&work.sums) {
+    let slots = slots.iter_mut().zip(&work.sums);
+    for ((slot, sums), changed) in slots.zip(&mut work.changed) {
         let Some(patch) = slot else { continue };
         if sums.count < 16.0 {
             patch.moments = *sums; // last frame's sums are of another camera position
@@ -211,6 +224,7 @@ fn refit(
                     fit,
                     bits: sums.bits(fit.misfit),
                 };
+                *changed = true;
                 report.refitted += 1;
             }
             _ => {
