@@ -166,6 +166,7 @@ fn encode(bencher: Bencher<'_, '_>, key: bool) {
         keyframe_every: if key { 1 } else { u32::MAX },
         contact: tolerance.contact,
         smooth_mask: false,
+        effort: saint_live::codec::Effort::Live,
         tolerance,
     };
     let mut encoder = Encoder::new(&stream.camera, options).unwrap();

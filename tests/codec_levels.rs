@@ -1,5 +1,5 @@
 //! Coarse to fine: what a decoder that stops early makes of a payload, whole or cut; and streams
-//! whose contact distance or mask changes on the way.
+//! whose contact distance, mask or effort is not the usual one.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,7 +12,7 @@ mod frames;
 use frames::{Picture, camera, check, draw};
 use saint_live::codec::header::{Header, SECTIONS};
 use saint_live::codec::{
-    CodecError, CodecOptions, DecodedFrame, Decoder, EncodedFrame, Encoder, Level,
+    CodecError, CodecOptions, DecodedFrame, Decoder, Effort, EncodedFrame, Encoder, Level,
 };
 use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use saint_live::deproject::BLOCK;
@@ -186,4 +186,37 @@ fn a_smoothed_mask_counts_what_it_changes() {
     }
     // one pixel in twenty is a hole
     assert!(changed > 300, "{changed}");
+}
+
+#[test]
+fn more_effort_takes_no_more_bytes_and_keeps_the_bound() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let contact = ContactDistance::default();
+    let bytes = [Effort::Live, Effort::Max].map(|effort| {
+        let mut modeler = Modeler::new(&camera, &FitOptions::default());
+        let options = CodecOptions {
+            effort,
+            ..CodecOptions::fitted(contact, 4)
+        };
+        let mut encoder = Encoder::new(&camera, options).unwrap();
+        let mut decoder = Decoder::new();
+        let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
+        (0..6)
+            .map(|number| {
+                let frame = draw(&camera, Picture::BallsAndHoles, number, 3);
+                modeler.model(&frame, &mut saint, &|| false);
+                encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
+                let decoded = decoder.decode(&encoded.payload).unwrap();
+                check(
+                    &format!("{effort:?} {number}"),
+                    &camera,
+                    &frame,
+                    decoded,
+                    &options.tolerance,
+                );
+                encoded.payload.len()
+            })
+            .sum::<usize>()
+    });
+    assert!(bytes[1] <= bytes[0], "{bytes:?}");
 }

@@ -231,6 +231,9 @@ pub struct EngineArgs {
     #[arg(long, value_name = "RATE", value_parser = bitrate,
         conflicts_with_all = ["max_error", "lossless"])]
     pub bitrate: Option<f64>,
+    /// `max` looks for fewer bits in several ways, some six times as long: to encode recordings anew.
+    #[arg(long, value_enum, default_value_t)]
+    pub effort: EffortArg,
     /// Smooth the mask of measured pixels where it is noise. Few pixels are lost or invented along
     /// edges; the lost ones are counted.
     #[arg(long, conflicts_with = "lossless")]
@@ -264,6 +267,16 @@ pub struct EngineArgs {
     /// Threads; 1 does everything in one, with the same output.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+}
+
+/// How long the encoder looks for fewer bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum EffortArg {
+    /// Once through each frame.
+    #[default]
+    Live,
+    /// Each frame in several ways.
+    Max,
 }
 
 /// How spheres are found.

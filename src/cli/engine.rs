@@ -1,8 +1,8 @@
 //! The live engine behind the pipeline's traits: options from flags, reports from results.
 
-use super::args::{DomainArg, EngineArgs, MapArgs, PackingArg, SchemeArg};
+use super::args::{DomainArg, EffortArg, EngineArgs, MapArgs, PackingArg, SchemeArg};
 use super::failure::{Failure, Kind};
-use saint_live::codec::{CodecOptions, Domain, EncodedFrame, Encoder, polar};
+use saint_live::codec::{CodecOptions, Domain, Effort, EncodedFrame, Encoder, polar};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::contact_map::polar_frame::{PolarMapper, default_step_m};
 use saint_live::fit::cloud::{FitParameters, Scheme};
@@ -159,6 +159,10 @@ impl Engine {
         let mut codec = CodecOptions::fitted(contact, every);
         codec.tolerance.lossless = args.lossless;
         codec.smooth_mask = args.smooth_mask;
+        codec.effort = match args.effort {
+            EffortArg::Live => Effort::Live,
+            EffortArg::Max => Effort::Max,
+        };
         if let Some(most) = args.max_error {
             codec.tolerance.contact = ContactDistance::constant(most.0);
         }

@@ -1,12 +1,13 @@
 //! SAINT frames to payloads.
 
 use super::choice::{Cheapest, Errors};
+use super::effort::{Effort, TRIALS, Thrift, USUAL};
 use super::header::{Header, Stream, Tolerance};
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
-use super::surface::to_integer;
+use super::surface::{self, to_integer};
 use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
@@ -29,6 +30,8 @@ pub struct CodecOptions {
     /// The mask may be smoothed where it is noise: few pixels are lost or invented, and counted. Never
     /// without loss.
     pub smooth_mask: bool,
+    /// How long to look for fewer bits.
+    pub effort: Effort,
 }
 
 /// The bound, in contact distances, where none is asked for. Within the contact distance lie all but
@@ -49,6 +52,7 @@ impl CodecOptions {
             },
             contact,
             smooth_mask: false,
+            effort: Effort::Live,
         }
     }
 }
@@ -81,7 +85,7 @@ pub struct EncodeReport {
 }
 
 /// The encoder with its reference frame and buffers.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Encoder {
     stream: Stream,
     rays: Rays,
@@ -89,6 +93,7 @@ pub struct Encoder {
     reach: Reach,
     contact: Reach,
     options: CodecOptions,
+    thrift: Thrift,
     state: State,
     plane: Vec<u16>,
     scratch: Vec<u16>,
@@ -112,10 +117,6 @@ const NOWHERE: Sphere = Sphere {
     m: glam::Vec3::NAN,
     far: false,
 };
-
-/// Share of the contact distance that one quantisation step takes. Coarser steps cost spheres less
-/// and residuals more; measured flat between 1/8 and 1/32 of the distance surfaces are fitted to.
-const STEP_SHARE: f64 = 0.12;
 
 /// A block is dense where at least one pixel in so many misses its sphere.
 const DENSE_FROM: u32 = 4;
@@ -144,6 +145,7 @@ impl Encoder {
             contact: Reach::new(&options.contact, camera.depth_unit_m),
             stream,
             options,
+            thrift: USUAL,
             state: State::with_room(room),
             plane: Vec::new(),
             scratch: Vec::new(),
@@ -200,6 +202,58 @@ impl Encoder {
                 });
             }
         }
+        if self.options.effort == Effort::Live {
+            return self.encode_once(frame, saint, degraded, out);
+        }
+        let start = self.clone();
+        let mut least = f64::INFINITY;
+        let mut best = EncodeReport::default();
+        let (mut trial, mut payload) = (start.clone(), EncodedFrame::default());
+        for thrift in TRIALS {
+            trial.clone_from(&start);
+            trial.thrift = thrift;
+            let report = trial.encode_once(frame, saint, degraded, &mut payload)?;
+            let cost = 8.0 * payload.payload.len() as f64 + trial.error_bits();
+            if cost < least {
+                (least, best) = (cost, report);
+                std::mem::swap(out, &mut payload);
+                std::mem::swap(self, &mut trial);
+            }
+        }
+        Ok(best)
+    }
+
+    /// What the errors of the frame last encoded are worth, in bits, by the price that labels were
+    /// chosen at.
+    fn error_bits(&self) -> f64 {
+        let errors = Errors {
+            plane: &self.plane,
+            reach: &self.reach,
+            contact: &self.contact,
+        };
+        let (mut depths, mut prices) = (surface::NOTHING, [0u16; BLOCK * BLOCK]);
+        let mut sum = 0u64;
+        for (k, &hits) in self.hits.iter().enumerate().filter(|h| *h.1 != 0) {
+            let (x0, y0, ..) = mask::extent(&self.rays, k);
+            let predicted = &self.state.predicted;
+            for (j, row) in depths.chunks_exact_mut(BLOCK).enumerate() {
+                let start = predicted.index(x0, y0 + j);
+                row.copy_from_slice(&predicted.cells()[start..start + BLOCK]);
+            }
+            errors.prices(&self.rays, k, &depths, &mut prices);
+            let hit = |i: usize| u64::from(prices[i]) * (hits >> i & 1);
+            sum += (0..BLOCK * BLOCK).map(hit).sum::<u64>();
+        }
+        sum as f64 / 16.0
+    }
+
+    fn encode_once(
+        &mut self,
+        frame: &DepthFrame,
+        saint: &SaintFrame,
+        degraded: bool,
+        out: &mut EncodedFrame,
+    ) -> Result<EncodeReport, CodecError> {
         let reference = self
             .last_sequence
             .filter(|_| self.since_key + 1 < self.options.keyframe_every);
@@ -302,6 +356,7 @@ impl Encoder {
                     &self.rays,
                     &errors,
                     at,
+                    &self.thrift,
                     &self.blocks,
                     palette,
                     left,
@@ -419,7 +474,7 @@ impl Encoder {
                 _ => {
                     let w = support.depth(&self.rays, &sphere).max(1e-3);
                     let z = 1.0 / w;
-                    let size = STEP_SHARE * self.options.contact.at(z) * w * w;
+                    let size = self.thrift.step * self.options.contact.at(z) * w * w;
                     Statement::Sphere(sphere, size)
                 }
             };

@@ -189,7 +189,7 @@ pub fn inside(rays: &Rays, k: usize) -> u64 {
     let (_, _, w, h) = extent(rays, k);
     let row = u64::MAX >> (BLOCK * BLOCK - w) & 0xFF;
     let rows = u64::MAX >> (BLOCK * (BLOCK - h));
-    row * 0x0101_0101_0101_0101 & rows
+    (row * 0x0101_0101_0101_0101) & rows
 }
 
 /// First pixel and size of block `k`, clipped to the image.

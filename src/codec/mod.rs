@@ -15,6 +15,7 @@ use crate::frame::FrameTime;
 pub mod bins;
 mod choice;
 pub mod decoder;
+pub mod effort;
 pub mod encoder;
 mod flow;
 pub mod grid;
@@ -34,6 +35,7 @@ mod state;
 mod surface;
 
 pub use decoder::{DecodedFrame, Decoder, Level};
+pub use effort::Effort;
 pub use encoder::{CodecOptions, EncodeReport, Encoder};
 pub use header::Tolerance;
 pub use payload::{Domain, Payload, PayloadDecoder};

@@ -5,16 +5,13 @@
 //! explain about as well is left out.
 
 use super::choice::Errors;
+use super::effort::Thrift;
 use super::mask::extent;
 use super::surface::Depths;
 use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays};
 
-/// Bits that one more sphere costs in a block, its boundary included, in 1/16 bit.
-const ENTRY_COST: u32 = 20 * 16;
-/// Bits that stating a sphere costs, in 1/16 bit: shared by its blocks.
-const SPHERE_COST: u32 = 28 * 16;
 /// Labels that are told apart in a block.
 const FOUND: usize = 16;
 
@@ -80,6 +77,7 @@ pub(super) fn prune<'a>(
     rays: &Rays,
     errors: &Errors<'a>,
     (k, measured): (usize, u64),
+    thrift: &Thrift,
     blocks: &[u32],
     palette: &mut Palette,
     mut size: usize,
@@ -119,7 +117,7 @@ pub(super) fn prune<'a>(
         let blocks = blocks
             .get(usize::from(palette[entry]))
             .map_or(1, |&n| n.max(1));
-        if loss < ENTRY_COST + SPHERE_COST / blocks {
+        if loss < thrift.entry + thrift.sphere / blocks {
             for e in entry..size - 1 {
                 palette[e] = palette[e + 1];
                 prices[e] = prices[e + 1];

@@ -116,6 +116,7 @@ pub fn options(contact: ContactDistance, lossless: bool, keyframe_every: u32) ->
         tolerance: Tolerance { contact, lossless },
         contact,
         smooth_mask: false,
+        effort: saint_live::codec::Effort::Live,
     }
 }
 
