@@ -5,7 +5,7 @@
 //! stays continuous. Times are of one frame from the first to the last stage, without queues.
 
 use super::args::{BenchArgs, MapArgs};
-use super::engine::{EncodeStage, Engine, ModelStage};
+use super::engine::{EncodeStage, Engine, model_stage};
 use super::failure::{Failure, Kind};
 use super::machine::{self, Machine};
 use super::source::{self, InputOptions};
@@ -18,7 +18,7 @@ use saint_live::deproject::Validity;
 use saint_live::frame::{Camera, DepthFrame};
 use saint_live::pipeline::clock::{Clock, Monotonic};
 use saint_live::pipeline::percentiles::Percentiles;
-use saint_live::pipeline::stages::{Encode, Model};
+use saint_live::pipeline::stages::Encode;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -222,7 +222,7 @@ fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold,
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     let step = frames.len().div_ceil(COLD_FRAMES);
     for frame in frames.iter().step_by(step) {
-        let mut model = ModelStage::new(camera, engine)?;
+        let mut model = model_stage(camera, engine)?;
         let mut encode = EncodeStage::new(camera, engine)?.unsampled();
         let start = Monotonic.now_ns();
         let report = model
@@ -308,7 +308,7 @@ fn warm(
 ) -> Result<Warm, Failure> {
     let mut warm = Warm::new()?;
     let validity = Validity::new(camera);
-    let mut model = ModelStage::new(camera, engine)?;
+    let mut model = model_stage(camera, engine)?;
     let mut encode = EncodeStage::new(camera, engine)?.unsampled();
     let mut decoder = Decoder::new();
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());

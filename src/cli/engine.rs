@@ -8,7 +8,7 @@ use saint_live::contact_map::polar_frame::{PolarMapper, default_step_m};
 use saint_live::fit::cloud::{FitParameters, Scheme};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::framewise::FrameFit;
-use saint_live::fit::live::{FitOptions, FitReport, Modeler};
+use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
 use saint_live::partition::lattice::Packing;
 use saint_live::pipeline::StageError;
@@ -218,51 +218,14 @@ impl Engine {
     }
 }
 
-/// The model stage.
-pub struct ModelStage(Modelling);
-
-enum Modelling {
-    Live(Box<Modeler>),
-    Framewise(Box<FrameFit>),
-}
-
-impl ModelStage {
-    /// For frames of `camera`.
-    pub fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
-        Ok(Self(match &engine.fit {
-            Fit::Live(options) => Modelling::Live(Box::new(Modeler::new(camera, options))),
-            Fit::Framewise(parameters) => Modelling::Framewise(
-                FrameFit::new(camera, parameters)
-                    .map(Box::new)
-                    .map_err(|error| Failure::new(Kind::Usage, error))?,
-            ),
-        }))
-    }
-}
-
-/// What the pipeline keeps of the fit's report.
-fn model_report(fit: &FitReport) -> ModelReport {
-    ModelReport {
-        points: fit.valid_pixels,
-        explained: fit.explained_pixels,
-        spheres: fit.spheres,
-        warm: fit.warm_pixels,
-        degraded: fit.degraded,
-    }
-}
-
-impl Model for ModelStage {
-    fn model(
-        &mut self,
-        depth: &DepthFrame,
-        saint: &mut SaintFrame,
-        deadline: &dyn Fn() -> bool,
-    ) -> Result<ModelReport, StageError> {
-        Ok(model_report(&match &mut self.0 {
-            Modelling::Live(modeler) => modeler.model(depth, saint, deadline),
-            Modelling::Framewise(fit) => fit.model(depth, saint, deadline)?,
-        }))
-    }
+/// The model stage for frames of `camera`.
+pub fn model_stage(camera: &Camera, engine: &Engine) -> Result<Box<dyn Model>, Failure> {
+    Ok(match &engine.fit {
+        Fit::Live(options) => Box::new(Modeler::new(camera, options)),
+        Fit::Framewise(parameters) => Box::new(
+            FrameFit::new(camera, parameters).map_err(|error| Failure::new(Kind::Usage, error))?,
+        ),
+    })
 }
 
 /// The encode stage.
