@@ -22,6 +22,7 @@ use super::part::{Message, Part};
 use super::split::{Grown, Names};
 use super::{RecordingError, Target, WriterOptions, color};
 use crate::frame::{Camera, ColorFrame, FrameTime};
+use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
 
 mod ros;
@@ -29,6 +30,7 @@ mod ros;
 mod tests;
 
 pub use ros::image_message;
+pub(super) use ros::unpack;
 
 /// Topic of the images.
 pub const IMAGE_TOPIC: &str = "/depth/image_raw/compressedDepth";
@@ -46,7 +48,37 @@ pub const SEQUENCE_NOTE: &str = "saint-live.first_sequence";
 pub const WALL_NOTE: &str = "saint-live.wall_clock";
 
 /// MCAP's profile of files that ROS 2 tools read.
-const PROFILE: &str = "ros2";
+pub(super) const PROFILE: &str = "ros2";
+
+/// Number and times of an image, as the channel's notes and MCAP's header of the message have
+/// them; the first image is the key. `None` where the notes do not say.
+pub(super) fn header(
+    notes: &BTreeMap<String, String>,
+    message: &MessageHeader,
+) -> Option<FrameHeader> {
+    let first: u64 = notes.get(SEQUENCE_NOTE)?.parse().ok()?;
+    let offset_ns: i64 = notes.get(CLOCK_NOTE)?.parse().ok()?;
+    let ns = |time: u64| i64::try_from(time).unwrap_or(i64::MAX);
+    // the numbers begin with the first one: below it the lower 32 bits have run over
+    let low = u64::from(message.sequence);
+    let number = first & !u64::from(u32::MAX) | low;
+    let sequence = if number < first {
+        number.saturating_add(1 << 32)
+    } else {
+        number
+    };
+    Some(FrameHeader {
+        key: sequence == first,
+        sequence,
+        time: FrameTime {
+            device_ns: ns(message.log_time).saturating_sub(offset_ns),
+            wall_ns: match notes.get(WALL_NOTE).map(String::as_str) {
+                Some("known") => ns(message.publish_time),
+                _ => 0,
+            },
+        },
+    })
+}
 
 /// What a raw capture has become.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -273,6 +305,9 @@ impl RawWriter {
         let mut message = ros::info_message(&self.camera);
         let stamp = (sequence, time, offset_ns);
         self.put((info, INFO_TOPIC), stamp, Kind::Other, &mut message)?;
+        // in a chunk of their own: whatever is lost later, the camera is known
+        let closed = self.part.close_chunk();
+        closed.map_err(|error| self.beside(error))?;
         Ok(*self.channels.insert(Channels {
             image,
             color: None,

@@ -16,7 +16,7 @@ use super::open::generator;
 use super::part::{Message, Part};
 use super::tally;
 use super::topics::Role;
-use super::{Damage, RecordingError, Sync, Target, message};
+use super::{Damage, RecordingError, Sync, Target, message, raw};
 use crate::frame::Camera;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -63,8 +63,12 @@ pub fn repair(path: &Path, target: Target) -> Result<RepairReport, RecordingErro
     let mut places: Vec<_> = index.chunks.iter().chain(&index.damaged).collect();
     places.sort_by_key(|place| place.offset);
     let name = target.name();
+    let profile = match index.channels.are_raw() {
+        true => raw::PROFILE,
+        false => "",
+    };
     let mut copy = Copy {
-        part: Part::create(target, Sync::End, "")?,
+        part: Part::create(target, Sync::End, profile)?,
         origin: path.file_name().map_or_else(
             || path.display().to_string(),
             |n| n.to_string_lossy().into_owned(),
@@ -189,6 +193,8 @@ impl Copy {
                 false => bytes.get(payload.clone()).and_then(message::reference),
             };
             let follows = match reference {
+                // an image stands alone
+                _ if channel.is_raw() => true,
                 Some(reference) => progress.last == Some(reference),
                 None => header.key || !progress.broken,
             };

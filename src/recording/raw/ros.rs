@@ -2,7 +2,7 @@
 
 use super::super::color;
 use crate::capture::containers::rvl;
-use crate::frame::Camera;
+use crate::frame::{Camera, FrameTime};
 
 const FORMAT: &str = "16UC1; compressedDepth rvl";
 const FRAME_ID: &str = "depth";
@@ -90,4 +90,25 @@ pub(super) fn info_message(camera: &Camera) -> Vec<u8> {
     // binning and region: the whole image
     message.extend_from_slice(&[0; 6 * 4 + 1]);
     message
+}
+
+/// Unpacks an image message into `depth`; says why that is not possible.
+pub(in crate::recording) fn unpack(
+    camera: &Camera,
+    message: &[u8],
+    depth: &mut Vec<u16>,
+) -> Result<(), String> {
+    let read = color::read(message, 0, FrameTime::default());
+    let image = read.ok_or("its fields end too early")?;
+    let body = image.data.split_at_checked(20);
+    let (head, body) = body.ok_or("its image ends too early")?;
+    let size = [camera.width, camera.height].map(u32::to_le_bytes);
+    if image.format != FORMAT || head[12..16] != size[0] || head[16..20] != size[1] {
+        return Err(format!(
+            "it is no {FORMAT} of {}x{} pixels",
+            camera.width, camera.height
+        ));
+    }
+    let pixels = camera.width as usize * camera.height as usize;
+    rvl::decode(body, pixels, depth).map_err(|error| error.to_string())
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::capture::sequences::{self, SequenceOptions};
 use crate::capture::{FrameSource, Next};
 use crate::frame::{DepthFrame, Intrinsics};
-use crate::recording::Split;
+use crate::recording::{RecordingReader, Split, check, repair};
 use std::time::Duration;
 
 fn camera() -> Camera {
@@ -176,4 +176,88 @@ fn parts_of_a_capture_are_whole_by_themselves() {
         ));
     }
     assert_eq!(all, frames);
+}
+
+#[test]
+fn a_capture_is_looked_into_checked_and_repaired_like_a_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("raw.mcap");
+    let mended = folder.path().join("mended.mcap");
+    let target = |path: &std::path::Path| Target::File {
+        path: path.to_owned(),
+        overwrite: true,
+    };
+    // half a second in each chunk
+    let all: Vec<DepthFrame> = (0..200)
+        .map(|n| DepthFrame {
+            sequence: u64::from(u32::MAX) - 5 + n,
+            time: FrameTime {
+                device_ns: n as i64 * 10_000_000,
+                wall_ns: 1_700_000_000_000_000_000 + n as i64 * 10_000_001,
+            },
+            depth: (0..15).map(|at| (n * 7 + at * 90) as u16).collect(),
+        })
+        .collect();
+    let mut writer =
+        RawWriter::create(target(&path), &camera(), &WriterOptions::default()).unwrap();
+    let mut message = Vec::new();
+    for frame in &all {
+        image_message(&camera(), &frame.depth, &mut message);
+        writer.frame(frame.sequence, frame.time, &message).unwrap();
+        writer.color(&image(frame, 3)).unwrap();
+    }
+    writer.finish().unwrap();
+
+    let info = |path| RecordingReader::open(path).unwrap().info();
+    let whole = info(&path);
+    assert_eq!(
+        (whole.frames, whole.width, whole.contact_map.as_str()),
+        (200, 5, "none")
+    );
+    assert_eq!((whole.first, whole.last), (all[0].time, all[199].time));
+    assert!(whole.monotonic && !whole.cut && whole.camera == camera());
+    let found = check(&path, true, &mut |_| true).unwrap();
+    assert_eq!((found.frames, found.gap_count), (200, 0));
+    assert!(found.is_sound(), "{:?}", found.faults);
+
+    let bytes = std::fs::read(&path).unwrap();
+    let mut broken = bytes.clone();
+    let hit = bytes.len() * 2 / 5;
+    broken[hit] ^= 1;
+    for (name, bytes) in [
+        ("cut", &bytes[..bytes.len() * 7 / 10]),
+        ("flipped", &broken),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        let found = check(&path, true, &mut |_| true).unwrap();
+        assert!(!found.is_sound(), "{name}");
+        let report = repair(&path, target(&mended)).unwrap();
+        assert_eq!(report.frames_kept, found.frames, "{name}");
+        assert!(
+            report.frames_kept >= 90 && report.frames_kept < 200,
+            "{report:?}"
+        );
+        assert!(
+            check(&mended, true, &mut |_| true).unwrap().is_sound(),
+            "{name}"
+        );
+        let source = sequences::open(&mended, &SequenceOptions::default()).unwrap();
+        assert_eq!(source.camera(), &camera());
+        let kept = read(source);
+        assert_eq!(kept.len() as u64, report.frames_kept);
+        assert!(kept.iter().all(|frame| all.contains(frame)), "{name}");
+    }
+}
+
+#[test]
+fn a_flip_of_every_byte_of_a_capture_is_found() {
+    let (_folder, path) = written(&frames());
+    let bytes = std::fs::read(&path).unwrap();
+    for at in 0..bytes.len() {
+        let mut broken = bytes.clone();
+        broken[at] ^= 1 << (at % 8);
+        std::fs::write(&path, &broken).unwrap();
+        let sound = check(&path, true, &mut |_| true).is_ok_and(|found| found.is_sound());
+        assert!(!sound, "byte {at}");
+    }
 }
