@@ -7,7 +7,7 @@ mod watched;
 use saint_live::capture::sequences::{self, SequenceOptions};
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
 use saint_live::capture::{FrameSource, Next};
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, PayloadDecoder};
+use saint_live::codec::{CodecOptions, EncodedFrame, Encoder, PayloadDecoder, Tolerance};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::{Camera, ColorFrame, DepthFrame};
@@ -57,7 +57,10 @@ fn recording(path: &Path) {
     let mut modeler = Modeler::new(&camera, &FitOptions::default());
     let options = CodecOptions {
         keyframe_every: 4,
-        ..CodecOptions::default()
+        tolerance: Tolerance {
+            contact: FitOptions::default().contact_distance,
+            lossless: false,
+        },
     };
     let mut encoder = Encoder::new(&camera, options).unwrap();
     let mut writer =
