@@ -20,7 +20,7 @@ use std::sync::atomic::Ordering;
 use watched::LARGEST;
 
 /// Mutated files of each sort.
-const ROUNDS: u64 = 400;
+const ROUNDS: u64 = 120;
 /// No reader needs more at once for a file of some ten kilobytes: the piece in which a damaged
 /// file is searched is the largest.
 const MOST: usize = 2 << 20;
