@@ -17,7 +17,7 @@
 
 use super::chunk::Kind;
 use super::message::FrameHeader;
-use super::open::publish_time;
+use super::open::{generator, publish_time};
 use super::part::{Message, Part};
 use super::split::{Grown, Names};
 use super::{RecordingError, Target, WriterOptions, color};
@@ -294,6 +294,7 @@ impl RawWriter {
             (CLOCK_NOTE, offset_ns.to_string()),
             (SEQUENCE_NOTE, sequence.to_string()),
             (WALL_NOTE, wall.to_owned()),
+            ("generator", generator()),
         ]
         .map(|(name, value)| (name.to_owned(), value))
         .into();
