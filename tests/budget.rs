@@ -69,13 +69,7 @@ impl Model for Fit<'_> {
             }
             deadline()
         });
-        Ok(ModelReport {
-            points: fit.valid_pixels,
-            explained: fit.explained_pixels,
-            spheres: fit.spheres,
-            warm: fit.warm_pixels,
-            degraded: fit.degraded,
-        })
+        Ok(fit.into())
     }
 }
 

@@ -7,13 +7,15 @@
     reason = "a test fails by panicking"
 )]
 
+mod watched;
+
 use saint_live::capture::sequences::{self, SequenceOptions};
 use saint_live::capture::{CaptureError, FrameSource, Next};
 use saint_live::frame::{Camera, DepthFrame, Intrinsics};
 use saint_live::intrinsics::Calibration;
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::Ordering;
+use watched::LARGEST;
 
 const WIDTH: usize = 32;
 const HEIGHT: usize = 24;
@@ -25,33 +27,6 @@ const K: Intrinsics = Intrinsics {
 };
 const START_NS: i64 = 1_700_000_000_250_000_000;
 const PERIOD_NS: i64 = 33_333_333;
-
-/// Remembers the largest piece of memory that was asked for.
-struct Watched;
-
-static LARGEST: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call is passed on unchanged.
-#[allow(unsafe_code)]
-unsafe impl GlobalAlloc for Watched {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(at, layout) }
-    }
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        LARGEST.fetch_max(size, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.realloc(at, layout, size) }
-    }
-}
-
-#[global_allocator]
-static MEMORY: Watched = Watched;
 
 /// The scene of `make.py`, millimetres.
 fn scene(k: usize, hole: u16) -> Vec<u16> {

@@ -8,7 +8,7 @@
 
 mod program;
 
-use program::{run, text};
+use program::{info, json, run, text};
 use saint_live::codec::EncodedFrame;
 use saint_live::recording::RecordingReader;
 use std::path::Path;
@@ -100,4 +100,71 @@ fn a_full_disk_ends_with_5() {
     assert!(full.exists(), "no /dev/full on this machine");
     let (_, said) = run(["record", "-q", "-d", CAMERA, "-o", "/dev/full"], 5);
     assert!(said.contains("/dev/full"), "{said}");
+}
+
+#[test]
+fn a_capture_counts_names_parts_and_refuses_what_it_cannot_take() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (raw, trace) = (path("raw.mcap"), path("trace.json"));
+    let file = ["record", "-d", CAMERA, "-q", "-o", text(&raw)];
+    let more = [
+        "--stats",
+        "json",
+        "--trace",
+        text(&trace),
+        "--sync",
+        "chunk",
+    ];
+    let (out, _) = run([&file[..], &more].concat(), 0);
+    let last = json(out.lines().last().unwrap());
+    assert_eq!((&last["final"], &last["frames"]), (&true.into(), &7.into()));
+    assert_eq!(last["drops"]["queue"], 0);
+    assert!(
+        std::fs::read_to_string(&trace)
+            .unwrap()
+            .contains("\"encode\"")
+    );
+
+    // what looks after recordings looks after captures
+    assert_eq!(info(&raw)["frames"], 7);
+    let (said, _) = run(["-q", "check", text(&raw), "--json"], 0);
+    assert_eq!(json(&said)["frames"], 7);
+    let (_, said) = run(["play", text(&raw)], 4);
+    assert!(
+        said.contains("raw capture") && said.contains("replay"),
+        "{said}"
+    );
+    let bytes = std::fs::read(&raw).unwrap();
+    std::fs::write(&raw, &bytes[..bytes.len() - 40]).unwrap();
+    run(["check", text(&raw)], 4);
+    let (mended, again) = (path("mended.mcap"), path("again.mcap"));
+    run(["repair", text(&raw), "-o", text(&mended)], 0);
+    run(["replay", text(&mended), "-q", "-o", text(&again)], 0);
+    assert_eq!(frames(&again).len(), 7);
+
+    let parts = path("part.mcap");
+    let arguments = [
+        "record",
+        "-d",
+        CAMERA,
+        "-o",
+        text(&parts),
+        "--split",
+        "40ms",
+    ];
+    let (_, said) = run(arguments, 0);
+    assert!(said.contains("wrote 2 parts up to"), "{said}");
+    let images = path("images");
+    for wrong in [
+        &["--split", "1s"][..],
+        &["--color-device", "9"],
+        &["--sync", "chunk"],
+    ] {
+        let arguments = ["record", "-d", CAMERA, "--to", "exr", "-o", text(&images)];
+        let (_, said) = run([&arguments[..], wrong].concat(), 2);
+        assert!(said.contains("--to mcap only"), "{said}");
+    }
+    let (_, said) = run(["record", "-d", CAMERA, "-o", "-", "--stats", "json"], 2);
+    assert!(said.contains("standard output"), "{said}");
 }

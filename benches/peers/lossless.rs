@@ -1,9 +1,9 @@
 //! The peers: general and depth codecs, each frame by itself, all without loss.
 
-use crate::rvl;
 use flate2::{read::GzDecoder, write::GzEncoder};
 use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
 use image::{ExtendedColorType, ImageDecoder, ImageEncoder};
+use saint_live::capture::containers::rvl;
 use saint_live::deproject::Rays;
 use std::error::Error;
 use std::io::{Cursor, Read, Write};
@@ -60,7 +60,10 @@ impl Peer {
                 coder.write_all(&points(rays, depth))?;
                 coder.finish()?;
             }
-            Self::Rvl => rvl::encode(depth, bytes),
+            Self::Rvl => {
+                bytes.clear();
+                rvl::encode(depth, bytes);
+            }
         }
         Ok(())
     }
@@ -84,7 +87,7 @@ impl Peer {
             }
             Self::Rvl => {
                 let mut depth = Vec::with_capacity(pixels);
-                rvl::decode(bytes, pixels, &mut depth);
+                rvl::decode(bytes, pixels, &mut depth)?;
                 Decoded::Integers(depth)
             }
         })

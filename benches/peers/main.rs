@@ -12,7 +12,6 @@
 
 mod lossless;
 mod ours;
-mod rvl;
 
 use lossless::Peer;
 use ours::Ours;

@@ -1,6 +1,6 @@
 //! How long until a frame somewhere in a long recording is decoded.
 
-use crate::stages::{EncodeStage, FPS, ModelStage, input, time_ns};
+use crate::stages::{FPS, encode_stage, input, model_stage, time_ns};
 use saint_live::codec::{EncodedFrame, PayloadDecoder};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::pipeline::packet::ModelReport;
@@ -45,13 +45,13 @@ pub fn run(length: Duration) {
 
 fn write(path: &Path, frames: u64) {
     let (camera, depths) = input();
-    let mut model = ModelStage::new(&camera);
-    let mut encode = EncodeStage::new(&camera);
+    let mut model = model_stage(&camera);
+    let mut encode = encode_stage(&camera);
     let modelled: Vec<(SaintFrame, ModelReport)> = depths
         .iter()
         .map(|depth| {
             let mut saint = SaintFrame::default();
-            let report = model.model(depth, &mut saint, &|| false).unwrap();
+            let report = Model::model(&mut model, depth, &mut saint, &|| false).unwrap();
             (saint, report)
         })
         .collect();
@@ -67,7 +67,7 @@ fn write(path: &Path, frames: u64) {
         depth.sequence = n;
         depth.time.device_ns = time_ns(n);
         let (saint, report) = &modelled[at];
-        encode.encode(&depth, saint, report, &mut encoded).unwrap();
+        Encode::encode(&mut encode, &depth, saint, report, &mut encoded).unwrap();
         writer.frame(&encoded).unwrap();
     }
     writer.finish().unwrap();

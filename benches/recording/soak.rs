@@ -1,6 +1,6 @@
 //! A long run with faults everywhere: does memory grow, does the account balance, is the file whole?
 
-use crate::stages::{EncodeStage, FPS, ModelStage, input, time_ns};
+use crate::stages::{FPS, encode_stage, input, model_stage, time_ns};
 use saint_live::capture::{CaptureError, FrameSource, Next, SourceLosses};
 use saint_live::frame::{Camera, ColorFrame, DepthFrame};
 use saint_live::pipeline::budget::{Budget, Late};
@@ -135,8 +135,8 @@ pub fn run(length: Duration) {
     let stages = Stages {
         source: &mut source,
         color: None,
-        model: &mut ModelStage::new(&camera),
-        encode: &mut EncodeStage::new(&camera),
+        model: &mut model_stage(&camera),
+        encode: &mut encode_stage(&camera),
         sink: &mut sink,
         trace: None,
     };

@@ -2,13 +2,9 @@
 
 use saint_live::capture::synthetic::{SyntheticOptions, SyntheticSource};
 use saint_live::capture::{FrameSource, Next};
-use saint_live::codec::{CodecOptions, EncodedFrame, Encoder};
-use saint_live::contact_map::labels::SaintFrame;
+use saint_live::codec::{CodecOptions, Encoder};
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
-use saint_live::pipeline::StageError;
-use saint_live::pipeline::packet::{CodingReport, ModelReport};
-use saint_live::pipeline::stages::{Encode, Model};
 
 /// Frames per second of the input.
 pub const FPS: u64 = 30;
@@ -33,50 +29,13 @@ pub fn time_ns(n: u64) -> i64 {
     (n * 1_000_000_000 / FPS) as i64
 }
 
-pub struct ModelStage(pub Modeler);
-
-impl ModelStage {
-    pub fn new(camera: &Camera) -> Self {
-        Self(Modeler::new(camera, &FitOptions::default()))
-    }
+/// The live fit as the program has it.
+pub fn model_stage(camera: &Camera) -> Modeler {
+    Modeler::new(camera, &FitOptions::default())
 }
 
-impl Model for ModelStage {
-    fn model(
-        &mut self,
-        depth: &DepthFrame,
-        saint: &mut SaintFrame,
-        deadline: &dyn Fn() -> bool,
-    ) -> Result<ModelReport, StageError> {
-        let fit = self.0.model(depth, saint, deadline);
-        Ok(ModelReport {
-            points: fit.valid_pixels,
-            explained: fit.explained_pixels,
-            spheres: fit.spheres,
-            warm: fit.warm_pixels,
-            degraded: fit.degraded,
-        })
-    }
-}
-
-pub struct EncodeStage(pub Encoder);
-
-impl EncodeStage {
-    pub fn new(camera: &Camera) -> Self {
-        let options = CodecOptions::fitted(FitOptions::default().contact_distance, KEYFRAME_EVERY);
-        Self(Encoder::new(camera, options).unwrap())
-    }
-}
-
-impl Encode for EncodeStage {
-    fn encode(
-        &mut self,
-        depth: &DepthFrame,
-        saint: &SaintFrame,
-        modelled: &ModelReport,
-        encoded: &mut EncodedFrame,
-    ) -> Result<CodingReport, StageError> {
-        self.0.encode(depth, saint, modelled.degraded, encoded)?;
-        Ok(CodingReport::default())
-    }
+/// The codec as the program has it.
+pub fn encode_stage(camera: &Camera) -> Encoder {
+    let options = CodecOptions::fitted(FitOptions::default().contact_distance, KEYFRAME_EVERY);
+    Encoder::new(camera, options).unwrap()
 }

@@ -43,6 +43,33 @@ pub struct DeviceReport {
     pub formats: Vec<OfferedFormat>,
 }
 
+#[cfg(test)]
+impl DeviceReport {
+    /// A node for tests, of this kind and with these formats.
+    pub(super) fn sample(kind: NodeKind, codes: &[&[u8; 4]]) -> Self {
+        let format = |code: &&[u8; 4]| OfferedFormat {
+            pixel_format: FourCc(**code),
+            description: String::new(),
+            sizes: Vec::new(),
+            size_range: None,
+        };
+        Self {
+            path: "/dev/video3".into(),
+            driver: "uvcvideo".into(),
+            card: "Camera".into(),
+            bus: "nowhere".into(),
+            usb_id: None,
+            serial: None,
+            kind,
+            depth: kind == NodeKind::Depth,
+            reason: "the reason".into(),
+            busy: None,
+            held_by: Vec::new(),
+            formats: codes.iter().map(format).collect(),
+        }
+    }
+}
+
 /// A camera that is plugged in and has no node to read depth from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct NodelessCamera {

@@ -1,18 +1,19 @@
 //! The arguments as they are typed.
 
-use super::values::{
-    Length, bitrate, duration, duration_or_zero, factor, length, length_or_zero, size, split,
-};
-use clap::{Args, FromArgMatches, Parser, Subcommand, ValueEnum};
+use super::values::{Length, bitrate, duration, factor, length, split};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::recording::Split;
 use std::path::PathBuf;
 use std::time::Duration;
 
+mod capture;
 mod clouds;
+mod line;
 mod recording;
 
+pub use capture::{CameraArgs, CaptureArgs, LiveArgs, RecordArg, RecordArgs};
 pub use clouds::{CloudMapArg, CloudSchemeArg, ExperimentArgs, ExperimentName, ModelArgs};
 pub use recording::{CheckArgs, PlayArgs, RepairArgs};
 
@@ -31,7 +32,7 @@ Examples:
 /// Turns a live depth camera into a stream of spheres and contact maps.
 #[derive(Debug, Parser)]
 #[command(name = "saint-live", version, after_help = AFTER_HELP)]
-#[command(args_conflicts_with_subcommands = true, arg_required_else_help = true)]
+#[command(arg_required_else_help = true)]
 pub struct Arguments {
     /// What to do; without one, a camera is captured.
     #[command(subcommand)]
@@ -79,138 +80,6 @@ pub enum Command {
         /// The shell.
         shell: Shell,
     },
-}
-
-/// Live capture.
-#[derive(Clone, Debug, Args)]
-pub struct LiveArgs {
-    /// Depth camera: /dev/videoN, N, a serial number, a bus id (`devices` lists them), auto, or
-    /// synthetic:SCENE[,key=value...]. Given more than once, all are recorded together.
-    #[arg(short, long, value_name = "DEVICE")]
-    pub device: Vec<String>,
-    /// Record the cameras of this TOML file together: names, devices, poses.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["device", "intrinsics", "depth_unit"])]
-    pub rig: Option<PathBuf>,
-    /// Colour camera recorded beside it, named as --device. When it fails, depth goes on.
-    #[arg(long, value_name = "DEVICE", conflicts_with = "rig")]
-    pub color_device: Option<String>,
-    /// Lens of the colour camera and its pose in the depth camera's frame (TOML): makes `export
-    /// --to ply` give points their colours.
-    #[arg(long, value_name = "FILE", requires = "color_device")]
-    pub color_camera: Option<PathBuf>,
-    /// Image size to ask the camera for.
-    #[arg(short, long, value_name = "WxH", value_parser = size)]
-    pub size: Option<(u32, u32)>,
-    /// Frames per second to ask the camera for.
-    #[arg(long)]
-    pub fps: Option<u32>,
-    /// Format to ask the camera for: Z16, Y16, Y14, Y12, Y10, Y10B.
-    #[arg(long, value_name = "FOURCC")]
-    pub pixel_format: Option<String>,
-    /// End with exit code 3 when an unplugged, silent or broken camera has sent nothing for this
-    /// long (0 ends at an unplug). Without it the camera is waited for, whatever node it comes
-    /// back as.
-    #[arg(long, value_name = "TIME", value_parser = duration_or_zero)]
-    pub give_up: Option<Duration>,
-    /// Wait for an unplugged camera to come back: the default.
-    #[arg(long, hide = true, conflicts_with = "give_up")]
-    pub reconnect: bool,
-    #[command(flatten)]
-    pub camera: CameraArgs,
-    #[command(flatten)]
-    pub engine: EngineArgs,
-    #[command(flatten)]
-    pub map: MapArgs,
-    #[command(flatten)]
-    pub stream: StreamArgs,
-}
-
-impl LiveArgs {
-    /// The camera that `record` names; everything of the model is as without flags.
-    pub fn of_camera(args: &RecordArgs) -> Self {
-        let matches = Self::augment_args(clap::Command::new("live")).get_matches_from(["live"]);
-        let usual = Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-        Self {
-            device: vec![args.device.clone()],
-            size: args.size,
-            fps: args.fps,
-            pixel_format: args.pixel_format.clone(),
-            reconnect: args.reconnect,
-            camera: args.camera.clone(),
-            ..usual
-        }
-    }
-}
-
-/// `record`.
-#[derive(Debug, Args)]
-pub struct RecordArgs {
-    /// Depth camera: /dev/videoN, N, auto, or synthetic:SCENE[,key=value...].
-    #[arg(short, long, value_name = "DEVICE")]
-    pub device: String,
-    /// File (mcap; `-` is standard output) or folder (png16, exr) to write.
-    #[arg(short, long, value_name = "PATH")]
-    pub output: PathBuf,
-    /// Form of the output. mcap is one file, fast enough for any camera, and is read by ROS 2
-    /// tools; png16 and exr are a file for each frame.
-    #[arg(long, value_enum, default_value_t = RecordArg::Mcap)]
-    pub to: RecordArg,
-    /// Replace what exists.
-    #[arg(long)]
-    pub overwrite: bool,
-    /// Image size to ask the camera for.
-    #[arg(short, long, value_name = "WxH", value_parser = size)]
-    pub size: Option<(u32, u32)>,
-    /// Frames per second to ask the camera for.
-    #[arg(long)]
-    pub fps: Option<u32>,
-    /// Format to ask the camera for: Z16, Y16, Y14, Y12, Y10, Y10B.
-    #[arg(long, value_name = "FOURCC")]
-    pub pixel_format: Option<String>,
-    /// Wait for an unplugged camera to come back instead of ending.
-    #[arg(long)]
-    pub reconnect: bool,
-    /// Stop after taking this many frames.
-    #[arg(short = 'n', long, value_name = "N")]
-    pub frames: Option<u64>,
-    /// Stop after this much stream time.
-    #[arg(short = 't', long, value_name = "TIME", value_parser = duration)]
-    pub duration: Option<Duration>,
-    #[command(flatten)]
-    pub camera: CameraArgs,
-}
-
-/// Form of a raw capture.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum RecordArg {
-    /// RVL images in an MCAP file.
-    #[default]
-    Mcap,
-    /// 16-bit PNG files, camera.json and timestamps.txt.
-    Png16,
-    /// EXR files, metres, camera and time inside.
-    Exr,
-}
-
-/// What the user knows of the camera.
-#[derive(Clone, Debug, Default, Args)]
-#[command(next_help_heading = "Camera")]
-pub struct CameraArgs {
-    /// Metres per depth integer, as a length (1mm, 0.1mm).
-    #[arg(long, value_name = "LENGTH", value_parser = length)]
-    pub depth_unit: Option<Length>,
-    /// Nearer depths are not measurements.
-    #[arg(long, value_name = "LENGTH", value_parser = length_or_zero)]
-    pub depth_min: Option<Length>,
-    /// Farther depths are not measurements.
-    #[arg(long, value_name = "LENGTH", value_parser = length)]
-    pub depth_max: Option<Length>,
-    /// Depth integers that mean "no measurement", beside 0.
-    #[arg(long, value_name = "CODES", value_delimiter = ',')]
-    pub invalid: Option<Vec<u16>>,
-    /// Intrinsics: a file (camera.json, ROS or OpenCV YAML, Open3D or RealSense JSON) or fx,fy,cx,cy.
-    #[arg(long, value_name = "FILE|fx,fy,cx,cy", allow_hyphen_values = true)]
-    pub intrinsics: Option<String>,
 }
 
 /// Spheres, contact map and payload.
@@ -331,7 +200,25 @@ pub struct StreamArgs {
     /// Write a recording (MCAP) to this file, or to standard output with `-`.
     #[arg(short, long, value_name = "FILE|-")]
     pub output: Option<PathBuf>,
-    /// Replace an output file that exists.
+    #[command(flatten)]
+    pub run: RunArgs,
+    /// Age a frame may have when it leaves; one frame period by default. A replay has no budget
+    /// unless one is given here or by --on-late, or it is paced by --realtime.
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub budget: Option<Duration>,
+    /// What to do with a frame that would be late.
+    #[arg(long, value_enum)]
+    pub on_late: Option<LateArg>,
+    /// End with exit code 6 where the budget was missed: a frame late, degraded or dropped for it.
+    #[arg(long)]
+    pub strict: bool,
+}
+
+/// Output, limits and statistics of every stream, modelled or raw.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Stream")]
+pub struct RunArgs {
+    /// Replace an output that exists.
     #[arg(long)]
     pub overwrite: bool,
     /// Write numbered parts (scene-001.mcap, ...) of this size or length, each of which plays
@@ -348,16 +235,6 @@ pub struct StreamArgs {
     /// Stop after this much stream time.
     #[arg(short = 't', long, value_name = "TIME", value_parser = duration)]
     pub duration: Option<Duration>,
-    /// Age a frame may have when it leaves; one frame period by default. A replay has no budget
-    /// unless one is given here or by --on-late, or it is paced by --realtime.
-    #[arg(long, value_name = "TIME", value_parser = duration)]
-    pub budget: Option<Duration>,
-    /// What to do with a frame that would be late.
-    #[arg(long, value_enum)]
-    pub on_late: Option<LateArg>,
-    /// End with exit code 6 where the budget was missed: a frame late, degraded or dropped for it.
-    #[arg(long)]
-    pub strict: bool,
     /// Print statistics on standard output each second and at the end.
     #[arg(long, value_enum, value_name = "FORM")]
     pub stats: Option<StatsArg>,
@@ -579,15 +456,4 @@ pub struct SynthesizeArgs {
     /// Write into a folder that is not empty.
     #[arg(long)]
     pub overwrite: bool,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::CommandFactory;
-
-    #[test]
-    fn the_command_line_is_consistent() {
-        Arguments::command().debug_assert();
-    }
 }

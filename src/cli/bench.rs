@@ -18,7 +18,7 @@ use saint_live::deproject::Validity;
 use saint_live::frame::{Camera, DepthFrame};
 use saint_live::pipeline::clock::{Clock, Monotonic};
 use saint_live::pipeline::percentiles::Percentiles;
-use saint_live::pipeline::stages::{Encode, Model};
+use saint_live::pipeline::stages::Encode;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -8,7 +8,7 @@ use saint_live::contact_map::polar_frame::{PolarMapper, default_step_m};
 use saint_live::fit::cloud::{FitParameters, Scheme};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::framewise::FrameFit;
-use saint_live::fit::live::{FitOptions, FitReport, Modeler};
+use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
 use saint_live::partition::lattice::Packing;
 use saint_live::pipeline::StageError;
@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 mod rate;
 mod residual;
 
-use rate::{Plan, Rate};
+use rate::Rate;
 use residual::Sampler;
 
 /// Key frames come at least so often: a second at the usual rate.
@@ -242,73 +242,20 @@ impl Engine {
 }
 
 /// The stages of one camera, bound by the rate control where there is one.
-pub fn stages(camera: &Camera, engine: &Engine) -> Result<(ModelStage, EncodeStage), Failure> {
-    let mut model = ModelStage::new(camera, engine)?;
+pub fn stages(camera: &Camera, engine: &Engine) -> Result<(Box<dyn Model>, EncodeStage), Failure> {
     let mut encode = EncodeStage::new(camera, engine)?;
-    if let Some(bits_per_s) = engine.bitrate {
-        let (plan, rate) = rate::link(bits_per_s, &engine.codec);
-        model.plan = Some(plan);
-        encode.rate = Some(rate);
-    }
+    let model: Box<dyn Model> = match (&engine.fit, engine.bitrate) {
+        (Fit::Live(options), Some(bits_per_s)) => {
+            let (plan, rate) = rate::link(bits_per_s, &engine.codec);
+            encode.rate = Some(rate);
+            Box::new(plan.of(Modeler::new(camera, options)))
+        }
+        (Fit::Live(options), None) => Box::new(Modeler::new(camera, options)),
+        (Fit::Framewise(parameters), _) => Box::new(
+            FrameFit::new(camera, parameters).map_err(|error| Failure::new(Kind::Usage, error))?,
+        ),
+    };
     Ok((model, encode))
-}
-
-/// The model stage.
-pub struct ModelStage {
-    modelling: Modelling,
-    plan: Option<Plan>,
-}
-
-enum Modelling {
-    Live(Box<Modeler>),
-    Framewise(Box<FrameFit>),
-}
-
-impl ModelStage {
-    fn new(camera: &Camera, engine: &Engine) -> Result<Self, Failure> {
-        let modelling = match &engine.fit {
-            Fit::Live(options) => Modelling::Live(Box::new(Modeler::new(camera, options))),
-            Fit::Framewise(parameters) => Modelling::Framewise(
-                FrameFit::new(camera, parameters)
-                    .map(Box::new)
-                    .map_err(|error| Failure::new(Kind::Usage, error))?,
-            ),
-        };
-        Ok(Self {
-            modelling,
-            plan: None,
-        })
-    }
-}
-
-/// What the pipeline keeps of the fit's report.
-fn model_report(fit: &FitReport) -> ModelReport {
-    ModelReport {
-        points: fit.valid_pixels,
-        explained: fit.explained_pixels,
-        spheres: fit.spheres,
-        warm: fit.warm_pixels,
-        degraded: fit.degraded,
-    }
-}
-
-impl Model for ModelStage {
-    fn model(
-        &mut self,
-        depth: &DepthFrame,
-        saint: &mut SaintFrame,
-        deadline: &dyn Fn() -> bool,
-    ) -> Result<ModelReport, StageError> {
-        Ok(model_report(&match &mut self.modelling {
-            Modelling::Live(modeler) => {
-                if let Some(distance) = self.plan.as_mut().and_then(Plan::next) {
-                    modeler.set_contact_distance(&distance);
-                }
-                modeler.model(depth, saint, deadline)
-            }
-            Modelling::Framewise(fit) => fit.model(depth, saint, deadline)?,
-        }))
-    }
 }
 
 /// The encode stage.

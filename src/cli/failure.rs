@@ -143,8 +143,7 @@ impl From<CloudError> for Failure {
 impl From<ModelFileError> for Failure {
     fn from(error: ModelFileError) -> Self {
         let kind = match error {
-            ModelFileError::Output(error) => return error.into(),
-            ModelFileError::Container { .. } => Kind::Failure,
+            ModelFileError::File(error) => return error.into(),
             ModelFileError::NoSuch { .. } => Kind::Usage,
             _ => Kind::Input,
         };

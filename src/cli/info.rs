@@ -91,10 +91,15 @@ fn describe(info: &Info) -> String {
         k.cy,
         camera.depth_unit_m * 1e3
     );
+    let raw = info.contact_map == "none";
+    let kind = match raw {
+        true => "raw".to_owned(),
+        false => format!("{} key", info.key_frames),
+    };
     let _ = writeln!(
         text,
-        "stream    {} frames ({} key) in {:.2} s, lost before coding {}",
-        info.frames, info.key_frames, info.duration_s, info.lost_frames
+        "stream    {} frames ({kind}) in {:.2} s, lost before coding {}",
+        info.frames, info.duration_s, info.lost_frames
     );
     let _ = writeln!(text, "time      {}", times(info));
     if let Some(account) = &info.account {
@@ -108,7 +113,9 @@ fn describe(info: &Info) -> String {
             bits / 8.0
         );
     }
-    let _ = writeln!(text, "contacts  {} map", info.contact_map);
+    if !raw {
+        let _ = writeln!(text, "contacts  {} map", info.contact_map);
+    }
     for channel in &info.channels {
         let _ = writeln!(
             text,

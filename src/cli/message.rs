@@ -31,6 +31,17 @@ pub fn say(line: &str) {
     let _ = writeln!(Above, "{line}");
 }
 
+/// Says what an output has become.
+pub fn wrote(target: &str, parts: u32, frames: u64, bytes: u64) {
+    let parts = match parts {
+        1 => String::new(),
+        n => format!("{n} parts up to "),
+    };
+    say(&format!(
+        "wrote {parts}{target}: {frames} frames, {bytes} bytes"
+    ));
+}
+
 /// Rewrites the status line (terminals only).
 pub fn status(line: &str) {
     STATUS.store(true, Ordering::Relaxed);

@@ -30,7 +30,7 @@ mod tape;
 mod values;
 
 use args::{Arguments, Command};
-use clap::{CommandFactory, Parser};
+use clap::CommandFactory;
 use failure::Failure;
 use std::io::{self, Write};
 use std::process::ExitCode;
@@ -38,7 +38,7 @@ use std::process::ExitCode;
 /// Parses the command line, runs it and gives the exit code.
 pub fn main() -> ExitCode {
     // clap itself prints, and ends usage errors with 2
-    let arguments = Arguments::parse();
+    let arguments = Arguments::read(std::env::args_os()).unwrap_or_else(|error| error.exit());
     message::start(arguments.quiet, arguments.verbose);
     match dispatch(arguments) {
         Ok(()) => ExitCode::SUCCESS,

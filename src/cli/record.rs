@@ -3,42 +3,45 @@
 //! The pipeline is the live one with other stages: the model passes frames by, the encoder packs
 //! them, and many may wait, since a frame that is kept may be old.
 
-use super::args::{LiveArgs, RecordArg, RecordArgs};
+use super::args::{RecordArg, RecordArgs, SyncArg};
 use super::failure::{Failure, Kind};
-use super::{message, signals, source};
+use super::run::trace;
+use super::status::Display;
+use super::{message, signals, sink, source};
 use saint_live::capture::sequences::camera_json::write_camera_json;
 use saint_live::capture::sequences::exr::encode_exr_depth;
 use saint_live::capture::sequences::png::encode_png_depth;
 use saint_live::capture::sequences::timestamp_line;
 use saint_live::codec::EncodedFrame;
 use saint_live::contact_map::labels::SaintFrame;
-use saint_live::frame::{Camera, DepthFrame};
+use saint_live::frame::{Camera, ColorFrame, DepthFrame};
 use saint_live::pipeline::budget::Budget;
 use saint_live::pipeline::clock::Monotonic;
+use saint_live::pipeline::color::ColorSource;
 use saint_live::pipeline::packet::{CodingReport, ModelReport, Packet};
-use saint_live::pipeline::report::Report;
 use saint_live::pipeline::stages::{Encode, Model, Sink};
-use saint_live::pipeline::{self, Meter, Options, Pace, StageError, Stages};
-use saint_live::recording::Target;
-use saint_live::recording::raw::{RawWriter, image_message};
+use saint_live::pipeline::{self, Options, Pace, StageError, Stages};
+use saint_live::recording::RecordingError;
+use saint_live::recording::raw::{RawSummary, RawWriter, image_message};
 use std::fs::{self, File};
-use std::io::{BufWriter, IsTerminal, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// Times of the frames of a folder of images.
 const TIMES: &str = "timestamps.txt";
-/// The status line is rewritten this often, ns.
-const STATUS_NS: i64 = 500_000_000;
 
 /// Captures until Ctrl-C, a limit, or the end of the source.
 pub fn run(args: &RecordArgs, quiet: bool) -> Result<(), Failure> {
+    refuse(args)?;
     let stop = signals::stop_flag()?;
-    let mut source = source::live(&LiveArgs::of_camera(args))?;
+    let mut source = source::live(&args.device, &args.capture)?;
+    let mut color = source::color(&args.capture);
     let camera = source.camera().clone();
     if !quiet {
         source::introduce(source.as_ref());
     }
     let mut output = Output::open(args, &camera)?;
+    let trace = trace(&args.run)?;
     let mut encode = Pack {
         camera: camera.clone(),
         form: args.to,
@@ -52,58 +55,50 @@ pub fn run(args: &RecordArgs, quiet: bool) -> Result<(), Failure> {
         threads: 2,
         pace,
         budget: Budget::UNLIMITED,
-        frames: args.frames,
-        duration: args.duration,
+        frames: args.run.frames,
+        duration: args.run.duration,
     };
+    let mut display = Display::of_raw(quiet, args.run.stats, args.run.frames);
     let stages = Stages {
         source: source.as_mut(),
-        color: None,
+        color: color.as_mut().map(|color| color as &mut dyn ColorSource),
         model: &mut PassBy,
         encode: &mut encode,
         sink: &mut output,
-        trace: None,
+        trace,
     };
-    let shown = !quiet && std::io::stderr().is_terminal();
-    let mut told_ns = 0;
-    let outcome = pipeline::run(stages, &options, &Monotonic, &stop, &mut |meter: &Meter<
-        '_,
-        '_,
-    >| {
-        if shown && meter.now_ns() - told_ns >= STATUS_NS {
-            told_ns = meter.now_ns();
-            message::status(&status(&meter.total()));
-        }
+    let outcome = pipeline::run(stages, &options, &Monotonic, &stop, &mut |meter| {
+        display.observe(meter, &stop);
     });
-    message::end_status();
-    if !quiet {
-        message::say(&status(&outcome.report));
-        if let Some((name, bytes)) = &output.written {
-            let frames = outcome.report.frames;
-            message::say(&format!("wrote {name}: {frames} frames, {bytes} bytes"));
-        }
+    let shown = display.finish(quiet, &outcome.report);
+    if let Some(error) = &outcome.color {
+        message::say(&format!("saint-live: colour ended early: {error}"));
+    }
+    if let (Some(written), false) = (&output.written, quiet) {
+        message::wrote(
+            &written.target,
+            written.parts,
+            written.frames,
+            written.bytes,
+        );
     }
     outcome.result?;
-    Ok(())
+    shown
 }
 
-/// One line: frames, losses by cause, rate, size.
-fn status(report: &Report) -> String {
-    let drops = &report.drops;
-    let bits = 8.0 * report.bytes as f64 / report.frames.max(1) as f64;
-    format!(
-        "{} of {} frames, {:.1} fps, dropped {} (sensor {}, damaged {}, stall {}, queue {}), \
-         {:.0} KB a frame, encode p99 {:.1} ms",
-        report.frames,
-        report.sensor_frames,
-        report.fps,
-        drops.total(),
-        drops.sensor_gap,
-        drops.damaged,
-        drops.stall,
-        drops.queue,
-        bits / 8e3,
-        report.stage_ms.encode.p99,
-    )
+/// What only a file of messages has room for.
+fn refuse(args: &RecordArgs) -> Result<(), Failure> {
+    let only_mcap = [
+        ("--split", args.run.split.is_some()),
+        ("--sync chunk", args.run.sync == SyncArg::Chunk),
+        ("--color-device", args.capture.color_device.is_some()),
+    ];
+    match only_mcap.iter().find(|(_, given)| *given) {
+        Some((flag, _)) if args.to != RecordArg::Mcap => Err(Failure::usage(format_args!(
+            "{flag} goes with --to mcap only"
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// A model of nothing.
@@ -150,12 +145,33 @@ impl Encode for Pack {
 /// Where packed frames go.
 struct Output {
     to: To,
-    /// Name and bytes of the finished output.
-    written: Option<(String, u64)>,
+    written: Option<RawSummary>,
+    /// Frames that are safe, after a failure.
+    kept: Option<u64>,
+}
+
+impl Output {
+    /// Writes a message; notes what is safe where that fails.
+    fn message<T>(
+        &mut self,
+        write: impl FnOnce(&mut RawWriter) -> Result<T, RecordingError>,
+    ) -> Result<Option<T>, StageError> {
+        let To::Mcap(writer) = &mut self.to else {
+            return Ok(None);
+        };
+        let result = write(writer);
+        if result
+            .as_ref()
+            .is_err_and(|error| error.kept_frames().is_some())
+        {
+            self.kept.get_or_insert(writer.kept_frames());
+        }
+        Ok(Some(result?))
+    }
 }
 
 enum To {
-    Mcap(Option<Box<RawWriter>>),
+    Mcap(Box<RawWriter>),
     Folder(Folder),
 }
 
@@ -165,13 +181,18 @@ struct Folder {
     extension: &'static str,
     /// Times of images that cannot keep them.
     times: Option<BufWriter<File>>,
+    frames: u64,
     bytes: u64,
 }
 
 impl Output {
     fn open(args: &RecordArgs, camera: &Camera) -> Result<Self, Failure> {
         let to = match args.to {
-            RecordArg::Mcap => To::Mcap(Some(Box::new(RawWriter::create(target(args)?, camera)?))),
+            RecordArg::Mcap => {
+                let target = sink::target(&args.output, &args.run)?;
+                let options = sink::options(&args.run);
+                To::Mcap(Box::new(RawWriter::create(target, camera, &options)?))
+            }
             RecordArg::Png16 => {
                 let folder = prepared(args)?;
                 write_camera_json(&folder, camera).map_err(super::export::output_error)?;
@@ -181,6 +202,7 @@ impl Output {
                     path: folder,
                     extension: "png",
                     times: Some(BufWriter::new(file)),
+                    frames: 0,
                     bytes: 0,
                 })
             }
@@ -188,27 +210,16 @@ impl Output {
                 path: prepared(args)?,
                 extension: "exr",
                 times: None,
+                frames: 0,
                 bytes: 0,
             }),
         };
-        Ok(Self { to, written: None })
+        Ok(Self {
+            to,
+            written: None,
+            kept: None,
+        })
     }
-}
-
-fn target(args: &RecordArgs) -> Result<Target, Failure> {
-    let path = &args.output;
-    if path != Path::new("-") {
-        return Ok(Target::File {
-            path: path.clone(),
-            overwrite: args.overwrite,
-        });
-    }
-    if std::io::stdout().is_terminal() {
-        return Err(Failure::usage(
-            "-o - writes binary data, and standard output is a terminal; redirect it or name a file",
-        ));
-    }
-    Ok(Target::stdout()?)
 }
 
 /// The folder of `-o`, empty unless files in it may be replaced.
@@ -220,7 +231,7 @@ fn prepared(args: &RecordArgs) -> Result<PathBuf, Failure> {
     let cannot = |error: std::io::Error| cannot_write(folder, &error);
     fs::create_dir_all(folder).map_err(cannot)?;
     let filled = fs::read_dir(folder).map_err(cannot)?.next().is_some();
-    if filled && !args.overwrite {
+    if filled && !args.run.overwrite {
         return Err(Failure::usage(format_args!(
             "{} is not empty; give another name or --overwrite",
             folder.display()
@@ -242,6 +253,7 @@ impl Folder {
         if let Some(times) = &mut self.times {
             times.write_all(timestamp_line(number, packet.depth.time).as_bytes())?;
         }
+        self.frames += 1;
         self.bytes += packet.encoded.payload.len() as u64;
         Ok(())
     }
@@ -259,46 +271,46 @@ impl Folder {
 
 impl Sink for Output {
     fn frame(&mut self, packet: &Packet) -> Result<(), StageError> {
-        match &mut self.to {
-            To::Mcap(None) => {}
-            To::Mcap(Some(writer)) => {
-                let depth = &packet.depth;
-                writer.frame(depth.sequence, depth.time, &packet.encoded.payload)?;
-            }
-            To::Folder(folder) => {
-                let result = folder.frame(packet);
-                folder.named(result)?;
-            }
+        if let To::Folder(folder) = &mut self.to {
+            let result = folder.frame(packet);
+            return folder.named(result);
         }
+        let (depth, image) = (&packet.depth, &packet.encoded.payload);
+        self.message(|writer| writer.frame(depth.sequence, depth.time, image))?;
+        Ok(())
+    }
+
+    fn color(&mut self, color: &ColorFrame) -> Result<(), StageError> {
+        self.message(|writer| writer.color(color))?;
         Ok(())
     }
 
     fn idle(&mut self) -> Result<(), StageError> {
-        match &mut self.to {
-            To::Mcap(None) => {}
-            To::Mcap(Some(writer)) => writer.idle()?,
-            To::Folder(folder) => {
-                let result = folder.flush();
-                folder.named(result)?;
-            }
+        if let To::Folder(folder) = &mut self.to {
+            let result = folder.flush();
+            return folder.named(result);
         }
+        self.message(RawWriter::idle)?;
         Ok(())
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        match &mut self.to {
-            To::Mcap(writer) => {
-                if let Some(writer) = writer.take() {
-                    let summary = writer.finish()?;
-                    self.written = Some((summary.target, summary.bytes));
-                }
-            }
-            To::Folder(folder) => {
-                let result = folder.flush();
-                folder.named(result)?;
-                self.written = Some((folder.path.display().to_string(), folder.bytes));
-            }
+        if let To::Folder(folder) = &mut self.to {
+            let result = folder.flush();
+            folder.named(result)?;
+            self.written = Some(RawSummary {
+                target: folder.path.display().to_string(),
+                parts: 1,
+                frames: folder.frames,
+                bytes: folder.bytes,
+            });
+        } else if self.kept.is_none() {
+            self.written = self.message(RawWriter::finish)?;
         }
         Ok(())
+    }
+
+    fn kept(&self) -> Option<u64> {
+        self.kept
     }
 }

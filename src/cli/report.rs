@@ -54,20 +54,66 @@ fn causes(drops: &Drops) -> String {
     }
 }
 
+/// `90.0 fps  age p50 3 p99 12 ms  dropped 0  182 KB a frame`: a raw capture.
+pub fn raw_status(now: &Report, run: &Report) -> String {
+    format!(
+        "{:.1} fps  age p50 {:.0} p99 {:.0} ms  dropped {}  {:.0} KB a frame",
+        now.fps,
+        run.age_ms.p50,
+        run.age_ms.p99,
+        run.drops.total(),
+        now.bytes as f64 / now.frames.max(1) as f64 / 1e3,
+    )
+}
+
+/// A raw capture in a few lines.
+pub fn raw_summary(run: &Report) -> String {
+    let (age, stage) = (&run.age_ms, &run.stage_ms);
+    let mut lines = vec![
+        taken(run),
+        format!(
+            "age ms     p50 {:.1}  p99 {:.1}  max {:.1}; packing p50 {:.2} p99 {:.2}  writing p50 {:.2} p99 {:.2}",
+            age.p50,
+            age.p99,
+            age.max,
+            stage.encode.p50,
+            stage.encode.p99,
+            stage.sink.p50,
+            stage.sink.p99,
+        ),
+    ];
+    lines.extend(color(run));
+    lines.join("\n")
+}
+
+/// Frames, rate, losses by cause.
+fn taken(run: &Report) -> String {
+    format!(
+        "{} of {} frames in {:.1} s ({:.1} fps), dropped {}{}",
+        run.frames,
+        run.sensor_frames,
+        run.elapsed_s,
+        run.fps,
+        run.drops.total(),
+        causes(&run.drops),
+    )
+}
+
+/// Colour images, where there were any.
+fn color(run: &Report) -> Option<String> {
+    (run.color_frames + run.color_dropped > 0).then(|| {
+        format!(
+            "colour     {} images, dropped {}",
+            run.color_frames, run.color_dropped
+        )
+    })
+}
+
 /// The run in a few lines.
 pub fn summary(run: &Report) -> String {
     let (age, stage, error) = (&run.age_ms, &run.stage_ms, &run.residual_mm);
     let mut lines = vec![
-        format!(
-            "{} of {} frames in {:.1} s ({:.1} fps), dropped {}{}, degraded {}",
-            run.frames,
-            run.sensor_frames,
-            run.elapsed_s,
-            run.fps,
-            run.drops.total(),
-            causes(&run.drops),
-            run.degraded,
-        ),
+        format!("{}, degraded {}", taken(run), run.degraded),
         format!(
             "age ms     p50 {:.1}  p95 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1}",
             age.p50, age.p95, age.p99, age.p999, age.max
@@ -100,12 +146,7 @@ pub fn summary(run: &Report) -> String {
             error.max,
         ),
     ];
-    if run.color_frames + run.color_dropped > 0 {
-        lines.push(format!(
-            "colour     {} images, dropped {}",
-            run.color_frames, run.color_dropped
-        ));
-    }
+    lines.extend(color(run));
     lines.join("\n")
 }
 

@@ -1,6 +1,6 @@
 //! Live capture and replay: the same pipeline behind two kinds of source.
 
-use super::args::{LateArg, LiveArgs, ReplayArgs, StreamArgs};
+use super::args::{LateArg, LiveArgs, ReplayArgs, RunArgs, StreamArgs};
 use super::engine::{self, Engine};
 use super::failure::{Failure, Kind};
 use super::sink;
@@ -30,12 +30,12 @@ pub fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
     }
     let device = args.device.first().cloned().unwrap_or_default();
     let engine = Engine::resolve(&args.engine, &args.map)?;
-    let mut run = Run::new(engine, &args.stream, device, quiet)?;
+    let mut run = Run::new(engine, &args.stream, device, quiet);
     if let Some(path) = &args.color_camera {
         run.note_color_camera(&ColorCamera::read(path)?)?;
     }
-    let mut source = source::live(args)?;
-    let color = source::color(args);
+    let mut source = source::live(&run.source, &args.capture)?;
+    let color = source::color(&args.capture);
     let pace = pace_of(source.as_ref());
     run.stream(source.as_mut(), color, pace)
 }
@@ -60,7 +60,7 @@ pub fn replay(args: &ReplayArgs, quiet: bool) -> Result<(), Failure> {
         )));
     }
     let engine = Engine::resolve(&args.engine, &args.map)?;
-    let mut run = Run::new(engine, &args.stream, name, quiet)?;
+    let mut run = Run::new(engine, &args.stream, name, quiet);
     if let Some(path) = &args.color_camera {
         run.note_color_camera(&ColorCamera::read(path)?)?;
     }
@@ -102,24 +102,14 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn new(
-        engine: Engine,
-        stream: &'a StreamArgs,
-        source: String,
-        quiet: bool,
-    ) -> Result<Self, Failure> {
-        if sink::is_stdout(stream) && stream.stats.is_some() {
-            return Err(Failure::usage(
-                "-o - and --stats both write to standard output; name a file for one of them",
-            ));
-        }
-        Ok(Self {
+    fn new(engine: Engine, stream: &'a StreamArgs, source: String, quiet: bool) -> Self {
+        Self {
             engine,
             stream,
             source,
             quiet,
             notes: BTreeMap::new(),
-        })
+        }
     }
 
     /// Records a fact as JSON.
@@ -156,8 +146,8 @@ impl<'a> Run<'a> {
             threads: self.engine.threads,
             pace,
             budget: self.budget(camera, pace),
-            frames: self.stream.frames,
-            duration: self.stream.duration,
+            frames: self.stream.run.frames,
+            duration: self.stream.run.duration,
         }
     }
 
@@ -194,19 +184,19 @@ impl<'a> Run<'a> {
         self.engine.start_workers()?;
         let (mut model, mut encode) = engine::stages(&camera, &self.engine)?;
         let mut output = sink::open(self.stream, &camera, self.all_notes(source))?;
-        let trace = self.trace()?;
+        let trace = trace(&self.stream.run)?;
         let options = self.options(&camera, pace);
         // a live stream has no end to measure progress by, unless one was set
-        let expected = match (source.len_hint(), self.stream.frames) {
+        let expected = match (source.len_hint(), self.stream.run.frames) {
             (Some(hint), Some(most)) => Some(hint.min(most)),
             (hint, most) => hint.or(most),
         };
         let expected = expected.filter(|_| pace != Pace::Live);
-        let mut display = Display::new(self.quiet, self.stream.stats, expected);
+        let mut display = Display::new(self.quiet, self.stream.run.stats, expected);
         let stages = Stages {
             source,
             color: color.as_mut().map(|color| color as &mut dyn ColorSource),
-            model: &mut model,
+            model: model.as_mut(),
             encode: &mut encode,
             sink: &mut output,
             trace,
@@ -221,7 +211,7 @@ impl<'a> Run<'a> {
         self.say_written(&output);
         outcome.result?;
         shown?;
-        if outcome.report.frames == 0 && self.stream.frames != Some(0) {
+        if outcome.report.frames == 0 && self.stream.run.frames != Some(0) {
             self.nothing_written(&outcome.report, pace)?;
         }
         self.judge(&outcome.report)
@@ -230,14 +220,12 @@ impl<'a> Run<'a> {
     /// Says what was written, where this side of the recording closed it.
     fn say_written(&self, output: &Recorder) {
         if let (Some(summary), false) = (&output.summary, self.quiet) {
-            let parts = match summary.parts {
-                1 => String::new(),
-                n => format!("{n} parts up to "),
-            };
-            message::say(&format!(
-                "wrote {parts}{}: {} frames, {} bytes",
-                summary.target, summary.frames, summary.bytes
-            ));
+            message::wrote(
+                &summary.target,
+                summary.parts,
+                summary.frames,
+                summary.bytes,
+            );
         }
     }
 
@@ -272,24 +260,25 @@ impl<'a> Run<'a> {
             ),
         ))
     }
+}
 
-    fn trace(&self) -> Result<Option<Trace>, Failure> {
-        let Some(path) = &self.stream.trace else {
-            return Ok(None);
-        };
-        if path.exists() && !self.stream.overwrite {
-            return Err(Failure::usage(format_args!(
-                "{} exists already; give another name or --overwrite",
-                path.display()
-            )));
-        }
-        Trace::create(path, Monotonic.now_ns())
-            .map(Some)
-            .map_err(|source| {
-                Failure::new(
-                    Kind::Output,
-                    format_args!("cannot write {}: {source}", path.display()),
-                )
-            })
+/// Opens the timeline that `--trace` names.
+pub fn trace(args: &RunArgs) -> Result<Option<Trace>, Failure> {
+    let Some(path) = &args.trace else {
+        return Ok(None);
+    };
+    if path.exists() && !args.overwrite {
+        return Err(Failure::usage(format_args!(
+            "{} exists already; give another name or --overwrite",
+            path.display()
+        )));
     }
+    Trace::create(path, Monotonic.now_ns())
+        .map(Some)
+        .map_err(|source| {
+            Failure::new(
+                Kind::Output,
+                format_args!("cannot write {}: {source}", path.display()),
+            )
+        })
 }

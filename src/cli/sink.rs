@@ -1,6 +1,6 @@
 //! Where frames go: a recording, or nowhere (then only the numbers count).
 
-use super::args::{StreamArgs, SyncArg};
+use super::args::{RunArgs, StreamArgs, SyncArg};
 use super::failure::Failure;
 use saint_live::frame::Camera;
 use saint_live::pipeline::recorder::Recorder;
@@ -8,11 +8,6 @@ use saint_live::recording::{CameraStream, RecordingWriter, Sync, Target, WriterO
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::Path;
-
-/// True where `-o -` was given.
-pub fn is_stdout(args: &StreamArgs) -> bool {
-    args.output.as_deref() == Some(Path::new("-"))
-}
 
 /// Opens what `-o` names, for one camera.
 pub fn open(
@@ -34,26 +29,39 @@ pub fn open_rig(args: &StreamArgs, cameras: &[CameraStream]) -> Result<Vec<Recor
     let Some(path) = &args.output else {
         return Ok(cameras.iter().map(|_| Recorder::default()).collect());
     };
-    let target = if is_stdout(args) {
-        if std::io::stdout().is_terminal() {
-            return Err(Failure::usage(
-                "-o - writes a binary recording, and standard output is a terminal; redirect it or name a file",
-            ));
-        }
-        Target::stdout()?
-    } else {
-        Target::File {
-            path: path.clone(),
+    let writer =
+        RecordingWriter::create_rig(target(path, &args.run)?, cameras, &options(&args.run))?;
+    Ok(Recorder::rig(writer, cameras.len()))
+}
+
+/// What `-o PATH` means; `-` is standard output.
+pub fn target(path: &Path, args: &RunArgs) -> Result<Target, Failure> {
+    if path != Path::new("-") {
+        return Ok(Target::File {
+            path: path.to_owned(),
             overwrite: args.overwrite,
-        }
-    };
-    let options = WriterOptions {
+        });
+    }
+    if std::io::stdout().is_terminal() {
+        return Err(Failure::usage(
+            "-o - writes binary data, and standard output is a terminal; redirect it or name a file",
+        ));
+    }
+    if args.stats.is_some() {
+        return Err(Failure::usage(
+            "-o - and --stats both write to standard output; name a file for one of them",
+        ));
+    }
+    Ok(Target::stdout()?)
+}
+
+/// How the file is written.
+pub fn options(args: &RunArgs) -> WriterOptions {
+    WriterOptions {
         sync: match args.sync {
             SyncArg::End => Sync::End,
             SyncArg::Chunk => Sync::Chunk,
         },
         split: args.split,
-    };
-    let writer = RecordingWriter::create_rig(target, cameras, &options)?;
-    Ok(Recorder::rig(writer, cameras.len()))
+    }
 }

@@ -1,6 +1,6 @@
 //! Sources as the commands ask for them: a camera, a synthetic sensor, a folder, a recording.
 
-use super::args::{CameraArgs, ExrDepthArg, LiveArgs, RangeArgs};
+use super::args::{CameraArgs, CaptureArgs, ExrDepthArg, RangeArgs};
 use super::failure::Failure;
 use super::message;
 use saint_live::capture::containers;
@@ -29,12 +29,12 @@ const RECORDING_MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 const LOOP_PERIOD_NS: i64 = 33_333_333;
 
 /// The camera that `--device` names.
-pub fn live(args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
-    let Some(device) = args.device.first().map(String::as_str) else {
+pub fn live(device: &str, args: &CaptureArgs) -> Result<Box<dyn FrameSource>, Failure> {
+    if device.is_empty() {
         return Err(Failure::usage(
             "no --device given; name a camera (saint-live devices lists them), auto, or synthetic:room",
         ));
-    };
+    }
     if device == "synthetic" || device.starts_with("synthetic:") {
         return synthetic(device, args);
     }
@@ -70,7 +70,7 @@ pub fn live(args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
     Ok(Box::new(V4l2Source::open(&options)?))
 }
 
-fn synthetic(device: &str, args: &LiveArgs) -> Result<Box<dyn FrameSource>, Failure> {
+fn synthetic(device: &str, args: &CaptureArgs) -> Result<Box<dyn FrameSource>, Failure> {
     let camera = &args.camera;
     let unused = [
         ("--pixel-format", args.pixel_format.is_some()),

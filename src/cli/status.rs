@@ -27,8 +27,33 @@ struct Line<'a> {
     report: &'a Report,
 }
 
+/// Which numbers of a run are told as sentences.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Words {
+    #[default]
+    Modelled,
+    Raw,
+}
+
+impl Words {
+    fn status(self, now: &Report, run: &Report) -> String {
+        match self {
+            Self::Modelled => report::status(now, run),
+            Self::Raw => report::raw_status(now, run),
+        }
+    }
+
+    fn summary(self, run: &Report) -> String {
+        match self {
+            Self::Modelled => report::summary(run),
+            Self::Raw => report::raw_summary(run),
+        }
+    }
+}
+
 /// The display of one run.
 pub struct Display {
+    words: Words,
     /// Rewrite a line, or move a bar.
     shown: bool,
     bar: Option<ProgressBar>,
@@ -57,6 +82,7 @@ impl Display {
     pub fn new(quiet: bool, stats: Option<StatsArg>, frames: Option<u64>) -> Self {
         let shown = !quiet && io::stderr().is_terminal();
         Self {
+            words: Words::default(),
             shown,
             bar: frames.filter(|_| shown).map(progress),
             stats,
@@ -66,6 +92,14 @@ impl Display {
             stats_ns: 0,
             before: Report::default(),
             failure: None,
+        }
+    }
+
+    /// The display of a raw capture, which has no model to tell of.
+    pub fn of_raw(quiet: bool, stats: Option<StatsArg>, frames: Option<u64>) -> Self {
+        Self {
+            words: Words::Raw,
+            ..Self::new(quiet, stats, frames)
         }
     }
 
@@ -114,7 +148,7 @@ impl Display {
         if self.before.frames == 0 || elapsed >= 1.0 {
             self.before = *total;
         }
-        let line = report::status(&now, total);
+        let line = self.words.status(&now, total);
         match &self.bar {
             Some(bar) => {
                 bar.set_position(total.sensor_frames);
@@ -148,8 +182,8 @@ impl Display {
             }
             Some(StatsArg::Csv) => report.csv(),
             Some(StatsArg::Text) => match &self.camera {
-                Some(name) => format!("{name}  {}", report::status(report, report)),
-                None => report::status(report, report),
+                Some(name) => format!("{name}  {}", self.words.status(report, report)),
+                None => self.words.status(report, report),
             },
         };
         let mut out = io::stdout().lock();
@@ -169,7 +203,7 @@ impl Display {
         message::end_status();
         self.print(total, true);
         if !quiet {
-            message::say(&report::summary(total));
+            message::say(&self.words.summary(total));
         }
         self.failure.map_or(Ok(()), Err)
     }

@@ -48,7 +48,17 @@ impl Tape {
     /// Opens a recording at its first frame; of several cameras the first, which is told.
     pub fn open(path: &Path) -> Result<Self, Failure> {
         no_model(path)?;
-        let tape = Self::of(RecordingReader::open(path)?, path);
+        let reader = RecordingReader::open(path)?;
+        if reader.is_raw() {
+            let path = path.display();
+            return Err(Failure::new(
+                Kind::Input,
+                format_args!(
+                    "{path}: is a raw capture, it has no spheres; `saint-live replay {path} -o OUT.mcap` models it"
+                ),
+            ));
+        }
+        let tape = Self::of(reader, path);
         if let [first, _, ..] = tape.cameras() {
             tracing::warn!(
                 "{} holds the cameras {}; {first} is taken",

@@ -12,7 +12,7 @@ use mcap::read::{LinearReader, MessageStream, Options};
 use mcap::records::{MessageHeader, Record};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, Cursor, Read};
+use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
 /// Profile in the MCAP header: what tells a model from a recording.
@@ -36,25 +36,9 @@ message), then a payload that src/codec/FORMAT.md of saint-live describes in cha
 /// Why a model file cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
-    /// The output, as for recordings.
+    /// The file cannot be read or written, as for recordings.
     #[error(transparent)]
-    Output(#[from] RecordingError),
-    /// The container's own code refused.
-    #[error("{target}: {what}")]
-    Container {
-        /// File or pipe.
-        target: String,
-        /// What it said.
-        what: String,
-    },
-    /// The input cannot be opened or read.
-    #[error("cannot read {}: {source}; check the path and its permissions", .path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    File(#[from] RecordingError),
     /// The input is no model.
     #[error("{}: {what}", .path.display())]
     NotAModel {
@@ -115,7 +99,7 @@ fn has_profile(bytes: &[u8]) -> bool {
 /// # Errors
 /// What the container says; `target` is the name in its message.
 pub fn encode(scene: &Scene, parts: &[Part], target: &str) -> Result<Vec<u8>, ModelFileError> {
-    let refused = |what: &dyn std::fmt::Display| ModelFileError::Container {
+    let refused = |what: &dyn std::fmt::Display| RecordingError::Container {
         target: target.to_owned(),
         what: what.to_string(),
     };
@@ -155,7 +139,7 @@ pub fn encode(scene: &Scene, parts: &[Part], target: &str) -> Result<Vec<u8>, Mo
         writer.finish()?;
         Ok(writer.into_inner().into_inner())
     };
-    write().map_err(|e| refused(&e))
+    Ok(write().map_err(|e| refused(&e))?)
 }
 
 /// Writes a model file; says its size.
@@ -189,7 +173,7 @@ impl ModelFile {
     /// # Errors
     /// The file cannot be read or is no model.
     pub fn read(path: &Path) -> Result<Self, ModelFileError> {
-        let unreadable = |source| ModelFileError::Unreadable {
+        let unreadable = |source| RecordingError::Unreadable {
             path: path.to_owned(),
             source,
         };

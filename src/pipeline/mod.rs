@@ -30,6 +30,7 @@ mod alone;
 pub mod budget;
 pub mod clock;
 pub mod color;
+mod engines;
 mod error;
 mod intake;
 pub mod mailbox;

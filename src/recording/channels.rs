@@ -2,7 +2,7 @@
 
 use super::container::{parse, records};
 use super::topics::{self, Role};
-use super::{SAINT_ENCODING, description};
+use super::{SAINT_ENCODING, description, raw};
 use crate::frame::Camera;
 use mcap::records::Record;
 use std::collections::BTreeMap;
@@ -25,8 +25,18 @@ pub(super) struct Channel {
 }
 
 impl Channel {
-    /// The camera whose frames it carries, where it does.
+    /// True where it carries the depth images of a raw capture.
+    pub fn is_raw(&self) -> bool {
+        self.topic == raw::IMAGE_TOPIC
+            && self.encoding == "cdr"
+            && self.metadata.contains_key(raw::CAMERA_NOTE)
+    }
+
+    /// The camera whose frames it carries, where it does; that of a raw capture has no name.
     pub fn frames_of(&self) -> Option<&str> {
+        if self.is_raw() {
+            return Some("");
+        }
         let (camera, _) = topics::split(&self.topic);
         (self.encoding == SAINT_ENCODING && self.topic == Role::Saint.topic(camera))
             .then_some(camera)
@@ -39,7 +49,8 @@ impl Channel {
 
     /// True where it carries the colour images of `camera`.
     pub fn is_color_of(&self, camera: &str) -> bool {
-        self.encoding == "cdr" && self.topic == Role::Color.topic(camera)
+        let raw = camera.is_empty() && self.topic == raw::COLOR_TOPIC;
+        self.encoding == "cdr" && (raw || self.topic == Role::Color.topic(camera))
     }
 
     /// True where it carries the statistics of `camera`.
@@ -89,13 +100,23 @@ impl Channels {
         }
     }
 
-    /// The cameras in the order of the recording, each with what its `saint` channel says: name,
-    /// camera and notes.
+    /// True where they are those of a raw capture.
+    pub fn are_raw(&self) -> bool {
+        self.by_id.values().any(Channel::is_raw)
+    }
+
+    /// The cameras in the order of the recording, each with what the channel of its frames says:
+    /// name, camera and notes.
     pub fn cameras(&self) -> Vec<(&str, Camera, BTreeMap<String, String>)> {
         let saint = self.by_id.values().filter_map(|channel| {
             let name = channel.frames_of()?;
             let mut notes = channel.metadata.clone();
-            let camera = serde_json::from_str(&notes.remove("camera")?).ok()?;
+            let note = if channel.is_raw() {
+                raw::CAMERA_NOTE
+            } else {
+                "camera"
+            };
+            let camera = serde_json::from_str(&notes.remove(note)?).ok()?;
             Some((name, camera, notes))
         });
         saint.collect()

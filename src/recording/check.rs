@@ -17,7 +17,7 @@
 use super::container::{PREFIX, Source};
 use super::index::End;
 use super::message::{self, FrameHeader};
-use super::{RecordingError, RecordingReader};
+use super::{RecordingError, RecordingReader, raw};
 use crate::codec::{EncodedFrame, PayloadDecoder};
 use mcap::records::op;
 use serde::Serialize;
@@ -191,6 +191,8 @@ struct Walk {
     camera: String,
     decoder: Option<PayloadDecoder>,
     frame: EncodedFrame,
+    /// The image last unpacked, of a raw capture.
+    depth: Vec<u16>,
     /// Header of the frame before.
     before: Option<FrameHeader>,
     /// Mean time from one frame number to the next, ns.
@@ -213,6 +215,7 @@ impl Walk {
             camera,
             decoder: decode.then(PayloadDecoder::new),
             frame: EncodedFrame::default(),
+            depth: Vec::new(),
             before: None,
             undecodable: None,
         }
@@ -282,6 +285,10 @@ impl Walk {
     /// Why the frame cannot be used, where it cannot.
     fn refused(&mut self, now: &FrameHeader) -> Option<String> {
         let payload = &self.frame.payload;
+        if self.reader.is_raw() {
+            self.decoder.as_ref()?;
+            return raw::unpack(self.reader.camera(), payload, &mut self.depth).err();
+        }
         if !message::has_whole_payload(payload) {
             return Some("its payload fails its own checksum".to_owned());
         }

@@ -8,11 +8,10 @@ use crate::frame::{ColorFrame, FrameTime};
 
 /// Name of the schema.
 pub const SCHEMA: &str = "sensor_msgs/msg/CompressedImage";
-/// The message definition, with the two it refers to, as ros2msg has it.
-pub const DEFINITION: &str = "\
-std_msgs/Header header
-string format
-uint8[] data
+/// How a ros2msg definition ends that begins with a header: the messages the header refers to.
+macro_rules! header_definition {
+    () => {
+        "\
 ================================================================================
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
@@ -21,7 +20,16 @@ string frame_id
 MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
-";
+"
+    };
+}
+pub(super) use header_definition;
+
+/// The message definition, with the two it refers to, as ros2msg has it.
+pub const DEFINITION: &str = concat!(
+    "std_msgs/Header header\nstring format\nuint8[] data\n",
+    header_definition!()
+);
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 /// Bytes of the stamp, the first field.
 const STAMP: usize = 8;

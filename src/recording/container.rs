@@ -5,7 +5,7 @@
 //! walking from record to record is ours, because a reader of damaged files must know offsets and
 //! go on where the crate stops.
 
-use super::RecordingError;
+use super::{RecordingError, shape};
 use mcap::records::{Record, op};
 use std::fs::File;
 use std::io;
@@ -158,13 +158,13 @@ fn split_prefix(bytes: &[u8]) -> Option<(u8, u64)> {
     Some((bytes[0], length))
 }
 
-/// One record's fields. Attachments come as unknown records: nobody here needs them.
+/// One record's fields.
 pub(super) fn parse(code: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    if code == op::ATTACHMENT {
-        return Ok(Record::Unknown {
-            opcode: code,
-            data: body.into(),
-        });
+    if !shape::fits(code, body) {
+        return Err(format!(
+            "a record of type {code:#04x} and {} bytes announces more than it holds",
+            body.len()
+        ));
     }
     mcap::parse_record(code, body).map_err(|e| e.to_string())
 }

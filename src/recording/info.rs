@@ -97,7 +97,7 @@ pub struct Info {
     /// What is known to be damaged; all of it after a scan or
     /// [`verify`](super::RecordingReader::verify). For a cut file the last entry is the cut.
     pub damaged: Vec<Damage>,
-    /// Domain of the contact maps: `sensor` or `polar`.
+    /// Domain of the contact maps: `sensor` or `polar`; `none` for a raw capture.
     pub contact_map: String,
     /// The camera's channels, by topic.
     pub channels: Vec<ChannelInfo>,

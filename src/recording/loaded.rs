@@ -4,6 +4,7 @@ use super::channels::Channels;
 use super::container::{CHUNK_HEADER, PREFIX, Source, parse, records};
 use super::index::Place;
 use super::message::{self, FrameHeader};
+use super::raw;
 use mcap::records::{MessageHeader, Record, op};
 use std::ops::Range;
 
@@ -103,7 +104,14 @@ impl Loaded {
     ) -> Result<(), String> {
         let channel = channels.by_id.get(&header.channel_id);
         let mut frame = None;
-        if channel.is_some_and(|channel| channel.frames_of().is_some()) {
+        if let Some(channel) = channel.filter(|channel| channel.is_raw()) {
+            // an image has no checksum of its own
+            if care == Care::Damaged {
+                return Ok(());
+            }
+            let read = raw::header(&channel.metadata, &header);
+            frame = read.map(|read| (read, place.clone()));
+        } else if channel.is_some_and(|channel| channel.frames_of().is_some()) {
             let read = message::read(data);
             let is_taken = |read: &(FrameHeader, &[u8])| match care {
                 Care::Whole => true,

@@ -51,6 +51,7 @@
 //! its checksum (8 hex digits), since MCAP guards metadata with nothing. A reader MUST fall back to a scan
 //! where it is missing, fails its checksum, or disagrees with MCAP's own chunk index.
 
+mod beside;
 mod calibration;
 mod channels;
 mod check;
@@ -69,6 +70,7 @@ mod part;
 pub mod raw;
 mod reader;
 mod repair;
+mod shape;
 mod sink;
 mod split;
 mod tally;

@@ -45,7 +45,7 @@ impl Open {
         options: &WriterOptions,
     ) -> Result<Self, RecordingError> {
         let mut open = Self {
-            part: Part::create(target, options.sync, &generator())?,
+            part: Part::create(target, options.sync, "")?,
             channels: BTreeMap::new(),
             clock_offsets: vec![None; streams.len()],
             firsts_ns: vec![None; streams.len()],
@@ -195,7 +195,7 @@ impl Open {
 }
 
 /// The wall time, where it is known.
-fn publish_time(time: FrameTime, log_time: u64) -> u64 {
+pub(super) fn publish_time(time: FrameTime, log_time: u64) -> u64 {
     match u64::try_from(time.wall_ns) {
         Ok(wall) if wall > 0 => wall,
         _ => log_time,

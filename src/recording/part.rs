@@ -2,12 +2,13 @@
 
 use super::chunk::{Chunk, Kind};
 use super::disk::{Disk, sync_folder};
+use super::open::generator;
 use super::sink::Sink;
 use super::tally::{self, Tally};
 use super::{MAX_MESSAGE, RecordingError, Sync, Target, description};
-use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::{NoSeek, PrivateRecordOptions};
+use mcap::{Attachment, McapError};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -58,8 +59,8 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Opens the target and writes MCAP's head.
-    pub fn create(target: Target, sync: Sync, library: &str) -> Result<Self, RecordingError> {
+    /// Opens the target and writes MCAP's head, with the profile the file follows (empty: its own).
+    pub fn create(target: Target, sync: Sync, profile: &str) -> Result<Self, RecordingError> {
         let name = target.name();
         let path = match &target {
             Target::File { path, .. } => Some(path.clone()),
@@ -68,7 +69,8 @@ impl Part {
         let sink = Sink::open(target)?;
         let (written, disk) = (sink.written(), sink.disk());
         let container = mcap::WriteOptions::new()
-            .library(library)
+            .library(generator())
+            .profile(profile)
             .chunk_size(None) // closed here, by time and size
             .compression(None)
             .disable_seeking(true)
@@ -158,6 +160,15 @@ impl Part {
         self.with(|container| container.write_metadata(&Metadata { name, metadata }))
     }
 
+    /// Adds an attachment.
+    pub fn attachment(&mut self, attachment: &Attachment<'_>) -> Result<(), RecordingError> {
+        if self.chunk.is_open() {
+            self.close_chunk()?;
+        }
+        self.reserve(attachment.data.len())?;
+        self.with(|container| container.attach(attachment))
+    }
+
     /// Closes the chunk that is open if it has waited long enough.
     pub fn idle(&mut self) -> Result<(), RecordingError> {
         if self.chunk.is_due(Instant::now()) {
@@ -218,8 +229,8 @@ impl Part {
         self.reach_the_disk(true)
     }
 
-    /// Makes sure that there is an open chunk, and room in it for `bytes` more.
-    fn open_chunk(&mut self, bytes: usize) -> Result<(), RecordingError> {
+    /// Makes sure that the disk has room for `bytes` more.
+    fn reserve(&mut self, bytes: usize) -> Result<(), RecordingError> {
         let size = self.size() + bytes as u64;
         if let Some(disk) = &mut self.disk
             && let Err(source) = disk.reserve(size)
@@ -228,6 +239,12 @@ impl Part {
             self.finish()?;
             return Err(self.write_error(source.into()));
         }
+        Ok(())
+    }
+
+    /// Makes sure that there is an open chunk, and room in it for `bytes` more.
+    fn open_chunk(&mut self, bytes: usize) -> Result<(), RecordingError> {
+        self.reserve(bytes)?;
         if self.chunk.is_open() {
             return Ok(());
         }

@@ -4,6 +4,7 @@
 //! |---|---|---|---|
 //! | `/depth/image_raw/compressedDepth` | `cdr` | `sensor_msgs/msg/CompressedImage` (ros2msg) | `16UC1; compressedDepth rvl`: one image |
 //! | `/depth/camera_info` | `cdr` | `sensor_msgs/msg/CameraInfo` (ros2msg) | the pinhole, once |
+//! | `/color/image_raw/compressed` | `cdr` | `sensor_msgs/msg/CompressedImage` (ros2msg) | JPEG or PNG of a colour camera beside, bytes untouched |
 //!
 //! The image channel's metadata keeps what ROS has no place for, so that a replay equals the
 //! capture bit for bit: the whole [`Camera`] as JSON ([`CAMERA_NOTE`]), the number of the first
@@ -11,28 +12,32 @@
 //! the stamp are the device clock plus [`CLOCK_NOTE`], which moves it to the wall clock of the
 //! first frame; `publish_time` is the frame's wall time where [`WALL_NOTE`] is `known`.
 //!
-//! Chunks are not compressed beyond the images, have their CRC, and are closed each second or
-//! 4 MiB, like those of a recording: what was closed survives whatever comes later.
+//! The file is written like a recording ([`super`]): chunks with their CRC, closed twice a second,
+//! room reserved ahead. A part of a capture in parts is whole by itself.
 
-use super::color;
-use super::part::write_error;
-use super::sink::Sink;
-use super::{RecordingError, Target};
-use crate::capture::containers::rvl;
-use crate::frame::{Camera, FrameTime};
+use super::chunk::Kind;
+use super::message::FrameHeader;
+use super::open::{generator, publish_time};
+use super::part::{Message, Part};
+use super::split::{Grown, Names};
+use super::{RecordingError, Target, WriterOptions, color};
+use crate::frame::{Camera, ColorFrame, FrameTime};
 use mcap::records::MessageHeader;
-use mcap::write::NoSeek;
-use mcap::{McapError, WriteOptions};
 use std::collections::BTreeMap;
-use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+
+mod ros;
+#[cfg(test)]
+mod tests;
+
+pub use ros::image_message;
+pub(super) use ros::unpack;
 
 /// Topic of the images.
 pub const IMAGE_TOPIC: &str = "/depth/image_raw/compressedDepth";
 /// Topic of the camera.
 pub const INFO_TOPIC: &str = "/depth/camera_info";
+/// Topic of the colour images.
+pub const COLOR_TOPIC: &str = "/color/image_raw/compressed";
 /// Channel metadata: the whole camera as JSON.
 pub const CAMERA_NOTE: &str = "saint-live.camera";
 /// Channel metadata: log time less this is the device clock, ns.
@@ -42,156 +47,103 @@ pub const SEQUENCE_NOTE: &str = "saint-live.first_sequence";
 /// Channel metadata: `known` where publish times are the wall clock.
 pub const WALL_NOTE: &str = "saint-live.wall_clock";
 
-const FORMAT: &str = "16UC1; compressedDepth rvl";
-const FRAME_ID: &str = "depth";
-const INFO_SCHEMA: &str = "sensor_msgs/msg/CameraInfo";
-/// The message definition, with those it refers to, as ros2msg has it.
-const INFO_DEFINITION: &str = "\
-std_msgs/Header header
-uint32 height
-uint32 width
-string distortion_model
-float64[] d
-float64[9] k
-float64[9] r
-float64[12] p
-uint32 binning_x
-uint32 binning_y
-sensor_msgs/RegionOfInterest roi
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: sensor_msgs/RegionOfInterest
-uint32 x_offset
-uint32 y_offset
-uint32 height
-uint32 width
-bool do_rectify
-";
-/// Where the stamp lies in a message.
-const STAMP: std::ops::Range<usize> = 4..12;
-/// A chunk is closed when it is this old or holds this much.
-const CHUNK_AGE: Duration = Duration::from_secs(1);
-const CHUNK_BYTES: usize = 4 << 20;
+/// MCAP's profile of files that ROS 2 tools read.
+pub(super) const PROFILE: &str = "ros2";
 
-/// Replaces `message` by the image message of a frame of `camera`, its stamp zero. `O(pixels)`.
-pub fn image_message(camera: &Camera, depth: &[u16], message: &mut Vec<u8>) {
-    message.clear();
-    begin(message);
-    color::string(message, FORMAT);
-    color::length(message, 0);
-    let data = message.len();
-    // transport of inverse depth, not used by integers
-    message.extend_from_slice(&[0; 12]);
-    message.extend_from_slice(&camera.width.to_le_bytes());
-    message.extend_from_slice(&camera.height.to_le_bytes());
-    rvl::encode(depth, message);
-    // 3 bytes a pixel of 16 million pixels at most
-    let length = (message.len() - data) as u32;
-    message[data - 4..data].copy_from_slice(&length.to_le_bytes());
-}
-
-/// Encapsulation (CDR, little endian) and header.
-fn begin(message: &mut Vec<u8>) {
-    message.extend_from_slice(&[0, 1, 0, 0]);
-    message.extend_from_slice(&[0; 8]);
-    color::string(message, FRAME_ID);
-}
-
-fn info_message(camera: &Camera) -> Vec<u8> {
-    let mut message = Vec::new();
-    begin(&mut message);
-    color::length(&mut message, camera.height as usize);
-    color::length(&mut message, camera.width as usize);
-    color::string(&mut message, "plumb_bob");
-    // no distortion: an empty sequence
-    color::length(&mut message, 0);
-    let k = camera.intrinsics;
-    let pinhole = [k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0];
-    let upright = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let projection = [
-        k.fx, 0.0, k.cx, 0.0, 0.0, k.fy, k.cy, 0.0, 0.0, 0.0, 1.0, 0.0,
-    ];
-    // 8-byte fields are aligned to 8, counted from behind the encapsulation
-    let aligned = (message.len() - 4).next_multiple_of(8) + 4;
-    message.resize(aligned, 0);
-    for value in pinhole.iter().chain(&upright).chain(&projection) {
-        message.extend_from_slice(&f64::to_le_bytes(*value));
-    }
-    // binning and region: the whole image
-    message.extend_from_slice(&[0; 6 * 4 + 1]);
-    message
+/// Number and times of an image, as the channel's notes and MCAP's header of the message have
+/// them; the first image is the key. `None` where the notes do not say.
+pub(super) fn header(
+    notes: &BTreeMap<String, String>,
+    message: &MessageHeader,
+) -> Option<FrameHeader> {
+    let first: u64 = notes.get(SEQUENCE_NOTE)?.parse().ok()?;
+    let offset_ns: i64 = notes.get(CLOCK_NOTE)?.parse().ok()?;
+    let ns = |time: u64| i64::try_from(time).unwrap_or(i64::MAX);
+    // the numbers begin with the first one: below it the lower 32 bits have run over
+    let low = u64::from(message.sequence);
+    let number = first & !u64::from(u32::MAX) | low;
+    let sequence = if number < first {
+        number.saturating_add(1 << 32)
+    } else {
+        number
+    };
+    Some(FrameHeader {
+        key: sequence == first,
+        sequence,
+        time: FrameTime {
+            device_ns: ns(message.log_time).saturating_sub(offset_ns),
+            wall_ns: match notes.get(WALL_NOTE).map(String::as_str) {
+                Some("known") => ns(message.publish_time),
+                _ => 0,
+            },
+        },
+    })
 }
 
 /// What a raw capture has become.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawSummary {
-    /// File, or "standard output".
+    /// File, or "standard output"; the last of the parts.
     pub target: String,
-    /// Frames in it.
+    /// Files written.
+    pub parts: u32,
+    /// Frames in them.
     pub frames: u64,
-    /// Its bytes.
+    /// Their bytes.
     pub bytes: u64,
 }
 
-/// The channels, known with the first frame.
+/// The channels of a part, known with its first frame.
 #[derive(Clone, Copy)]
 struct Channels {
     image: u16,
+    color: Option<u16>,
     /// Added to the device clock, ns.
     offset_ns: i64,
+    /// Device time of the first frame, ns.
+    first_ns: i64,
 }
 
-/// Writes a raw capture.
+/// Writes a raw capture. Dropped without [`finish`](Self::finish) it still finalises the file, but
+/// nobody hears of an error.
 pub struct RawWriter {
-    container: Option<mcap::Writer<NoSeek<Sink>>>,
-    target: String,
+    part: Part,
     camera: Camera,
+    options: WriterOptions,
+    names: Option<Names>,
     channels: Option<Channels>,
-    frames: u64,
-    chunk_since: Option<Instant>,
-    chunk_bytes: usize,
-    kept_frames: u64,
-    kept_bytes: u64,
-    written: Arc<AtomicU64>,
+    /// The newest colour image that came before the first frame and waits for it.
+    early: Option<ColorFrame>,
     message: Vec<u8>,
+    /// Parts that are complete: their number, frames, bytes.
+    finished: (u32, u64, u64),
 }
 
 impl RawWriter {
     /// Opens the target and writes the container's beginning.
     ///
     /// # Errors
-    /// [`RecordingError::Exists`], [`RecordingError::Unwritable`], or a write error.
-    pub fn create(target: Target, camera: &Camera) -> Result<Self, RecordingError> {
-        let name = target.name();
-        let sink = Sink::open(target)?;
-        let written = sink.written();
-        let container = WriteOptions::new()
-            .library(concat!("saint-live ", env!("CARGO_PKG_VERSION")))
-            .profile("ros2")
-            .chunk_size(None)
-            .compression(None)
-            .disable_seeking(true)
-            .create(NoSeek::new(sink))
-            .map_err(|error| write_error(error, &name, 0, 0))?;
+    /// [`RecordingError::Exists`], [`RecordingError::Unwritable`], [`RecordingError::NoParts`], or
+    /// a write error.
+    pub fn create(
+        target: Target,
+        camera: &Camera,
+        options: &WriterOptions,
+    ) -> Result<Self, RecordingError> {
+        let mut names = options.split.map(|_| Names::new(&target)).transpose()?;
+        let target = match &mut names {
+            Some(names) => names.next().0,
+            None => target,
+        };
         Ok(Self {
-            container: Some(container),
-            target: name,
+            part: Part::create(target, options.sync, PROFILE)?,
             camera: camera.clone(),
+            options: *options,
+            names,
             channels: None,
-            frames: 0,
-            chunk_since: None,
-            chunk_bytes: 0,
-            kept_frames: 0,
-            kept_bytes: 0,
-            written,
+            early: None,
             message: Vec::new(),
+            finished: (0, 0, 0),
         })
     }
 
@@ -205,58 +157,125 @@ impl RawWriter {
         time: FrameTime,
         image: &[u8],
     ) -> Result<(), RecordingError> {
-        let now = Instant::now();
-        let full = self.chunk_bytes + image.len() > CHUNK_BYTES;
-        let old = |since: Instant| full || now.saturating_duration_since(since) >= CHUNK_AGE;
-        if self.chunk_since.is_some_and(old) {
-            self.close_chunk()?;
-        }
-        self.chunk_since.get_or_insert(now);
-        let channels = match self.channels {
-            Some(channels) => channels,
-            None => self.begin(sequence, time)?,
+        self.turn_page(time, image.len())?;
+        let (channels, first) = match self.channels {
+            Some(channels) => (channels, false),
+            None => (self.begin(sequence, time)?, true),
         };
         let mut message = std::mem::take(&mut self.message);
         message.clear();
         message.extend_from_slice(image);
-        let result = self.append(channels.image, channels, (sequence, time), &mut message);
-        self.chunk_bytes += message.len();
+        // each frame stands alone, but one key is enough for the tally
+        let kind = Kind::Frame(
+            "",
+            FrameHeader {
+                key: first,
+                sequence,
+                time,
+            },
+        );
+        let stamp = (sequence, time, channels.offset_ns);
+        let result = self.put((channels.image, IMAGE_TOPIC), stamp, kind, &mut message);
         self.message = message;
         result?;
-        self.frames += 1;
-        Ok(())
+        match self.early.take() {
+            Some(color) => self.color(&color),
+            None => Ok(()),
+        }
     }
 
-    /// Closes the chunk that is open if it is a second old.
+    /// Appends a colour image, its bytes untouched. Before the first frame the newest one waits
+    /// for it, since that frame says what the clocks are.
+    ///
+    /// # Errors
+    /// As [`frame`](Self::frame).
+    pub fn color(&mut self, image: &ColorFrame) -> Result<(), RecordingError> {
+        let Some(mut channels) = self.channels else {
+            self.early = Some(image.clone());
+            return Ok(());
+        };
+        let id = match channels.color {
+            Some(id) => id,
+            None => {
+                let schema = (color::SCHEMA, "ros2msg", color::DEFINITION.as_bytes());
+                let none = BTreeMap::new();
+                let id = self.part.add_channel(COLOR_TOPIC, "cdr", schema, &none)?;
+                channels.color = Some(id);
+                self.channels = Some(channels);
+                id
+            }
+        };
+        let mut message = std::mem::take(&mut self.message);
+        color::write(image, 0, &mut message);
+        let stamp = (image.sequence, image.time, channels.offset_ns);
+        let result = self.put((id, COLOR_TOPIC), stamp, Kind::Other, &mut message);
+        self.message = message;
+        result
+    }
+
+    /// Closes the chunk that is open if it is old enough.
     ///
     /// # Errors
     /// As [`frame`](Self::frame).
     pub fn idle(&mut self) -> Result<(), RecordingError> {
-        match self.chunk_since {
-            Some(since) if since.elapsed() >= CHUNK_AGE => self.close_chunk(),
-            _ => Ok(()),
-        }
+        let result = self.part.idle();
+        result.map_err(|error| self.beside(error))
     }
 
     /// Writes the index and the end mark.
     ///
     /// # Errors
     /// As [`frame`](Self::frame); closed chunks stay readable then.
-    pub fn finish(mut self) -> Result<RawSummary, RecordingError> {
-        if self.chunk_since.is_some() {
-            self.close_chunk()?;
-        }
-        self.with(|container| container.finish().map(|_| ()))?;
-        if let Some(container) = self.container.take() {
-            let mut sink = container.into_inner().into_inner();
-            let end = io::Write::flush(&mut sink).and_then(|()| sink.sync());
-            end.map_err(|source| self.write_error(source.into()))?;
-        }
+    pub fn finish(&mut self) -> Result<RawSummary, RecordingError> {
+        self.finish_part()?;
+        let (parts, frames, bytes) = self.finished;
         Ok(RawSummary {
-            target: self.target.clone(),
-            frames: self.frames,
-            bytes: self.written.load(Ordering::Relaxed),
+            target: self.part.target.clone(),
+            parts,
+            frames,
+            bytes,
         })
+    }
+
+    /// Frames that are safe whatever happens next.
+    #[must_use]
+    pub fn kept_frames(&self) -> u64 {
+        self.finished.1 + self.part.kept_frames()
+    }
+
+    fn finish_part(&mut self) -> Result<(), RecordingError> {
+        let result = self.part.finish();
+        result.map_err(|error| self.beside(error))?;
+        self.finished.0 += 1;
+        self.finished.1 += self.part.kept_frames();
+        self.finished.2 += self.part.kept_bytes;
+        self.part.kept.clear();
+        self.part.kept_bytes = 0;
+        Ok(())
+    }
+
+    /// Begins a new part before a frame, where one is due.
+    fn turn_page(&mut self, time: FrameTime, bytes: usize) -> Result<(), RecordingError> {
+        let (Some(split), Some(names), Some(channels)) =
+            (self.options.split, &mut self.names, self.channels)
+        else {
+            return Ok(());
+        };
+        let span = time.device_ns.saturating_sub(channels.first_ns);
+        let grown = Grown {
+            bytes: self.part.size(),
+            group: bytes as u64,
+            span_ns: u64::try_from(span).unwrap_or(0),
+        };
+        if !split.is_due(grown) {
+            return Ok(());
+        }
+        let (target, _) = names.next();
+        self.finish_part()?;
+        self.channels = None;
+        let next = Part::create(target, self.options.sync, PROFILE);
+        self.part = next.map_err(|error| self.beside(error))?;
+        Ok(())
     }
 
     /// The channels, with what the first frame says about the clocks, and the camera.
@@ -275,193 +294,54 @@ impl RawWriter {
             (CLOCK_NOTE, offset_ns.to_string()),
             (SEQUENCE_NOTE, sequence.to_string()),
             (WALL_NOTE, wall.to_owned()),
+            ("generator", generator()),
         ]
         .map(|(name, value)| (name.to_owned(), value))
         .into();
-        let (image, info) = self.with(|container| {
-            let schema =
-                container.add_schema(color::SCHEMA, "ros2msg", color::DEFINITION.as_bytes())?;
-            let image = container.add_channel(schema, IMAGE_TOPIC, "cdr", &notes)?;
-            let schema =
-                container.add_schema(INFO_SCHEMA, "ros2msg", INFO_DEFINITION.as_bytes())?;
-            let info = container.add_channel(schema, INFO_TOPIC, "cdr", &BTreeMap::new())?;
-            Ok((image, info))
-        })?;
-        let channels = Channels { image, offset_ns };
-        let mut message = info_message(&self.camera);
-        self.append(info, channels, (sequence, time), &mut message)?;
-        Ok(*self.channels.insert(channels))
+        let schema = (color::SCHEMA, "ros2msg", color::DEFINITION.as_bytes());
+        let image = self.part.add_channel(IMAGE_TOPIC, "cdr", schema, &notes)?;
+        let schema = (ros::INFO_SCHEMA, "ros2msg", ros::INFO_DEFINITION.as_bytes());
+        let none = BTreeMap::new();
+        let info = self.part.add_channel(INFO_TOPIC, "cdr", schema, &none)?;
+        let mut message = ros::info_message(&self.camera);
+        let stamp = (sequence, time, offset_ns);
+        self.put((info, INFO_TOPIC), stamp, Kind::Other, &mut message)?;
+        // in a chunk of their own: whatever is lost later, the camera is known
+        let closed = self.part.close_chunk();
+        closed.map_err(|error| self.beside(error))?;
+        Ok(*self.channels.insert(Channels {
+            image,
+            color: None,
+            offset_ns,
+            first_ns: time.device_ns,
+        }))
     }
 
     /// Stamps a message and writes it.
-    fn append(
+    fn put(
         &mut self,
-        channel_id: u16,
-        channels: Channels,
-        (sequence, time): (u64, FrameTime),
+        (channel, topic): (u16, &str),
+        (sequence, time, offset_ns): (u64, FrameTime, i64),
+        kind: Kind<'_>,
         message: &mut [u8],
     ) -> Result<(), RecordingError> {
-        let moved = time.device_ns.saturating_add(channels.offset_ns);
+        let moved = time.device_ns.saturating_add(offset_ns);
         let log_time = u64::try_from(moved).unwrap_or(0);
-        let seconds = i32::try_from(log_time / 1_000_000_000).unwrap_or(i32::MAX);
-        let nanoseconds = (log_time % 1_000_000_000) as u32;
-        let (stamp_s, stamp_ns) = message[STAMP].split_at_mut(4);
-        stamp_s.copy_from_slice(&seconds.to_le_bytes());
-        stamp_ns.copy_from_slice(&nanoseconds.to_le_bytes());
-        let header = MessageHeader {
-            channel_id,
+        ros::stamp(message, log_time);
+        let result = self.part.put(&Message {
+            channel,
+            topic,
             sequence: sequence as u32, // the lower 32 bits
             log_time,
-            publish_time: match u64::try_from(time.wall_ns) {
-                Ok(wall) if wall > 0 => wall,
-                _ => log_time,
-            },
-        };
-        self.with(|container| container.write_to_known_channel(&header, message))
+            publish_time: publish_time(time, log_time),
+            kind,
+            data: message,
+        });
+        result.map_err(|error| self.beside(error))
     }
 
-    fn close_chunk(&mut self) -> Result<(), RecordingError> {
-        self.with(mcap::Writer::flush)?;
-        self.chunk_since = None;
-        self.chunk_bytes = 0;
-        self.kept_frames = self.frames;
-        self.kept_bytes = self.written.load(Ordering::Relaxed);
-        Ok(())
-    }
-
-    /// Runs one step of the container. After an error nothing more is written, and a file is
-    /// shortened to its last whole chunk.
-    fn with<T>(
-        &mut self,
-        step: impl FnOnce(&mut mcap::Writer<NoSeek<Sink>>) -> Result<T, McapError>,
-    ) -> Result<T, RecordingError> {
-        let Some(mut container) = self.container.take() else {
-            return Err(RecordingError::Finished {
-                target: self.target.clone(),
-                frames: self.kept_frames,
-            });
-        };
-        match step(&mut container) {
-            Ok(value) => {
-                self.container = Some(container);
-                Ok(value)
-            }
-            Err(error) => {
-                container.into_inner().into_inner().keep(self.kept_bytes);
-                Err(self.write_error(error))
-            }
-        }
-    }
-
-    fn write_error(&self, error: McapError) -> RecordingError {
-        write_error(error, &self.target, self.kept_frames, self.kept_bytes)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::capture::sequences::{self, SequenceOptions};
-    use crate::capture::{FrameSource, Next};
-    use crate::frame::{DepthFrame, Intrinsics};
-
-    fn camera() -> Camera {
-        Camera {
-            width: 5,
-            height: 3,
-            intrinsics: Intrinsics {
-                fx: 1.0 / 3.0,
-                fy: 5.1,
-                cx: 2.2,
-                cy: 1e-7,
-            },
-            depth_unit_m: 0.000_1,
-            invalid: vec![7, 65535],
-            depth_min_m: 0.1,
-            depth_max_m: 4.3,
-            fps: Some(90.0),
-            name: "a \"camera\"".to_owned(),
-        }
-    }
-
-    fn frames() -> Vec<DepthFrame> {
-        let frame = |sequence: u64, device_ns, wall_ns, depth: [u16; 15]| DepthFrame {
-            sequence,
-            time: FrameTime { device_ns, wall_ns },
-            depth: depth.to_vec(),
-        };
-        let wall = 1_700_000_000_123_456_789;
-        vec![
-            frame(u64::from(u32::MAX) * 3 + 2, 55, wall, [0; 15]),
-            // numbers pass a multiple of 2³², the wall clock drifts
-            frame(
-                u64::from(u32::MAX) * 3 + 3,
-                11_111_166,
-                wall + 11_111_113,
-                [65535; 15],
-            ),
-            frame(
-                u64::from(u32::MAX) * 3 + 9,
-                22_222_277,
-                wall + 22_222_220,
-                std::array::from_fn(|n| [0, 1, 65535, 900][n % 4]),
-            ),
-        ]
-    }
-
-    fn written(frames: &[DepthFrame]) -> (tempfile::TempDir, std::path::PathBuf) {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("raw.mcap");
-        let target = Target::File {
-            path: path.clone(),
-            overwrite: false,
-        };
-        let mut writer = RawWriter::create(target, &camera()).unwrap();
-        let mut message = Vec::new();
-        for frame in frames {
-            image_message(&camera(), &frame.depth, &mut message);
-            writer.frame(frame.sequence, frame.time, &message).unwrap();
-        }
-        let summary = writer.finish().unwrap();
-        assert_eq!(summary.frames, frames.len() as u64);
-        assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
-        (folder, path)
-    }
-
-    fn read(mut source: Box<dyn FrameSource>) -> Vec<DepthFrame> {
-        let mut out = Vec::new();
-        let mut frame = DepthFrame::default();
-        while source.next(&mut frame).unwrap() == Next::Frame {
-            out.push(frame.clone());
-        }
-        out
-    }
-
-    #[test]
-    fn camera_numbers_times_and_integers_come_back() {
-        let (_folder, path) = written(&frames());
-        let source = sequences::open(&path, &SequenceOptions::default()).unwrap();
-        assert_eq!(source.camera(), &camera());
-        assert_eq!(read(source), frames());
-    }
-
-    #[test]
-    fn a_device_clock_without_a_wall_clock_comes_back() {
-        let mut without = frames();
-        for (n, frame) in without.iter_mut().enumerate() {
-            frame.time = FrameTime {
-                device_ns: -5 + 7 * n as i64,
-                wall_ns: 0,
-            };
-        }
-        let (_folder, path) = written(&without);
-        let source = sequences::open(&path, &SequenceOptions::default()).unwrap();
-        assert_eq!(read(source), without);
-    }
-
-    #[test]
-    fn an_empty_capture_is_a_file_without_images() {
-        let (_folder, path) = written(&[]);
-        assert!(sequences::open(&path, &SequenceOptions::default()).is_err());
+    /// An error of one part speaks for the whole capture.
+    fn beside(&self, error: RecordingError) -> RecordingError {
+        error.beside(self.finished.1, self.finished.2)
     }
 }

@@ -7,7 +7,7 @@ use super::loaded::{Care, Loaded};
 use super::message::FrameHeader;
 use super::tally::{StreamTally, Traffic};
 use super::topics::Role;
-use super::{CONTACT_MAP_NOTE, RecordingError, color, message};
+use super::{CONTACT_MAP_NOTE, RecordingError, color, message, raw};
 use crate::codec::{Domain, EncodedFrame};
 use crate::frame::{Camera, ColorFrame, FrameTime};
 use mcap::records::MessageHeader;
@@ -139,6 +139,13 @@ impl RecordingReader {
         &self.camera
     }
 
+    /// True for a raw capture: its payloads are image messages ([`raw`]), each of which stands
+    /// alone.
+    #[must_use]
+    pub fn is_raw(&self) -> bool {
+        self.index.channels.are_raw()
+    }
+
     /// What the writer noted beside the camera's stream.
     #[must_use]
     pub fn notes(&self) -> &BTreeMap<String, String> {
@@ -226,6 +233,7 @@ impl RecordingReader {
         let keys = self.key_frames();
         let before = keys.partition_point(|key| *key <= frame);
         self.position = match before.checked_sub(1) {
+            _ if self.is_raw() => frame,
             Some(last) => keys[last],
             None => 0,
         };
@@ -291,8 +299,12 @@ impl RecordingReader {
             let channels = &self.index.tally.channels;
             channels.get(topic).copied().unwrap_or_default()
         };
-        let Traffic { messages, bytes } = traffic(&Role::Saint.topic(&self.name));
-        let payload_bits = 8.0 * bytes.saturating_sub(messages * message::HEADER as u64) as f64;
+        let (topic, header) = match self.is_raw() {
+            true => (raw::IMAGE_TOPIC.to_owned(), 0),
+            false => (Role::Saint.topic(&self.name), message::HEADER as u64),
+        };
+        let Traffic { messages, bytes } = traffic(&topic);
+        let payload_bits = 8.0 * bytes.saturating_sub(messages * header) as f64;
         let duration_s = (tally.last.device_ns.saturating_sub(tally.first.device_ns)) as f64 * 1e-9;
         let fps =
             (tally.frames > 1 && duration_s > 0.0).then(|| (tally.frames - 1) as f64 / duration_s);
@@ -329,9 +341,11 @@ impl RecordingReader {
                     what: fault.what.clone(),
                 })
                 .collect(),
-            contact_map: notes
-                .get(CONTACT_MAP_NOTE)
-                .map_or_else(|| Domain::Sensor.name().to_owned(), Clone::clone),
+            contact_map: match notes.get(CONTACT_MAP_NOTE) {
+                _ if self.is_raw() => "none".to_owned(),
+                Some(name) => name.clone(),
+                None => Domain::Sensor.name().to_owned(),
+            },
             channels: channels
                 .into_iter()
                 .map(|channel| ChannelInfo {
@@ -362,6 +376,9 @@ impl RecordingReader {
 
     /// The first key frame at or after `frame`, or the end.
     fn key_from(&self, frame: u64) -> u64 {
+        if self.is_raw() {
+            return frame.min(self.frames());
+        }
         let keys = self.key_frames();
         let at = keys.partition_point(|key| *key < frame);
         keys.get(at).copied().unwrap_or(self.frames())

@@ -2,9 +2,10 @@
 //!
 //! Messages are copied as they are, with their times; cameras, notes and statistics come along.
 //! Of a damaged chunk those frames are kept that prove themselves (header and payload); a frame
-//! whose reference was lost is left out, up to the next key frame. Attachments and metadata of
-//! other programs are not copied.
+//! whose reference was lost is left out, up to the next key frame. Attachments whose checksum is
+//! right and metadata that can be read come along, behind the last frame.
 
+use super::beside::{Beside, Walk};
 use super::calibration::camera_text;
 use super::channels::Channel;
 use super::chunk::Kind;
@@ -13,8 +14,9 @@ use super::index::Index;
 use super::loaded::{Care, Item, Loaded};
 use super::open::generator;
 use super::part::{Message, Part};
+use super::tally;
 use super::topics::Role;
-use super::{Damage, RecordingError, Sync, Target, message};
+use super::{Damage, RecordingError, Sync, Target, message, raw};
 use crate::frame::Camera;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -37,6 +39,10 @@ pub struct RepairReport {
     pub frames_lost: u64,
     /// Messages of other channels written.
     pub messages_kept: u64,
+    /// Attachments written.
+    pub attachments_kept: u64,
+    /// Metadata records of others written.
+    pub metadata_kept: u64,
     /// Size of the whole file, bytes.
     pub bytes: u64,
     /// The file was cut.
@@ -57,8 +63,12 @@ pub fn repair(path: &Path, target: Target) -> Result<RepairReport, RecordingErro
     let mut places: Vec<_> = index.chunks.iter().chain(&index.damaged).collect();
     places.sort_by_key(|place| place.offset);
     let name = target.name();
+    let profile = match index.channels.are_raw() {
+        true => raw::PROFILE,
+        false => "",
+    };
     let mut copy = Copy {
-        part: Part::create(target, Sync::End, &generator())?,
+        part: Part::create(target, Sync::End, profile)?,
         origin: path.file_name().map_or_else(
             || path.display().to_string(),
             |n| n.to_string_lossy().into_owned(),
@@ -80,7 +90,7 @@ pub fn repair(path: &Path, target: Target) -> Result<RepairReport, RecordingErro
     let mut known = index.channels.clone();
     let mut loaded = Loaded::default();
     let mut faults = index.faults.iter().peekable();
-    for place in places {
+    for place in places.iter().copied() {
         while let Some(fault) = faults.next_if(|fault| fault.offset <= place.offset) {
             copy.damage(fault.offset, &fault.what);
         }
@@ -99,6 +109,10 @@ pub fn repair(path: &Path, target: Target) -> Result<RepairReport, RecordingErro
     }
     for fault in faults.chain(&index.cut) {
         copy.damage(fault.offset, &fault.what);
+    }
+    let mut beside = Walk::new(&source, &places);
+    while let Some(found) = beside.next() {
+        copy.beside(found)?;
     }
     copy.finish(&index)
 }
@@ -179,6 +193,8 @@ impl Copy {
                 false => bytes.get(payload.clone()).and_then(message::reference),
             };
             let follows = match reference {
+                // an image stands alone
+                _ if channel.is_raw() => true,
                 Some(reference) => progress.last == Some(reference),
                 None => header.key || !progress.broken,
             };
@@ -228,6 +244,23 @@ impl Copy {
             kind: Kind::Other,
             data: camera_text(facts).as_bytes(),
         })
+    }
+
+    fn beside(&mut self, found: Result<Beside, (u64, String)>) -> Result<(), RecordingError> {
+        match found {
+            Ok(Beside::Attachment(attachment)) => {
+                self.part.attachment(&attachment)?;
+                self.report.attachments_kept += 1;
+            }
+            // written anew
+            Ok(Beside::Metadata(known)) if known.name == tally::RECORD => {}
+            Ok(Beside::Metadata(other)) => {
+                self.part.metadata(&other.name, other.metadata)?;
+                self.report.metadata_kept += 1;
+            }
+            Err((offset, what)) => self.damage(offset, &what),
+        }
+        Ok(())
     }
 
     fn finish(mut self, index: &Index) -> Result<RepairReport, RecordingError> {

@@ -2,6 +2,7 @@
 
 use super::RecordingError;
 use super::disk::Disk;
+use super::part::write_error;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::os::fd::AsFd;
@@ -74,29 +75,7 @@ impl Target {
         let written = sink.write_all(bytes).and_then(|()| sink.flush());
         written.and_then(|()| sink.sync()).map_err(|source| {
             sink.keep(0);
-            let (frames, bytes) = (0, 0);
-            match source.kind() {
-                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-                    RecordingError::DiskFull {
-                        target,
-                        frames,
-                        bytes,
-                        source,
-                    }
-                }
-                io::ErrorKind::BrokenPipe => RecordingError::Closed {
-                    target,
-                    frames,
-                    bytes,
-                    source,
-                },
-                _ => RecordingError::Write {
-                    target,
-                    frames,
-                    bytes,
-                    source,
-                },
-            }
+            write_error(source.into(), &target, 0, 0)
         })
     }
 }

@@ -68,10 +68,7 @@ impl Names {
         let names = Self {
             stem: part(path.file_stem()).unwrap_or_default(),
             extension: part(path.extension()).map_or(String::new(), |e| format!(".{e}")),
-            folder: match path.parent() {
-                Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
-                _ => PathBuf::from("."),
-            },
+            folder: path.parent().map(PathBuf::from).unwrap_or_default(),
             overwrite,
             next: 1,
         };
@@ -80,7 +77,9 @@ impl Names {
     }
 
     fn make_way(&self) -> Result<(), RecordingError> {
-        let Ok(entries) = std::fs::read_dir(&self.folder) else {
+        let here = self.folder.as_os_str().is_empty();
+        let folder = if here { Path::new(".") } else { &self.folder };
+        let Ok(entries) = std::fs::read_dir(folder) else {
             return Ok(()); // opening the first part will say what is wrong
         };
         let paths = entries.flatten().map(|entry| entry.path());

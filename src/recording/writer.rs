@@ -73,6 +73,9 @@ pub struct RecordingWriter {
     closing: Option<Open>,
     finished: Finished,
     message: Vec<u8>,
+    /// In parts: the colour image of each camera that waits for the frame it came with, since that
+    /// frame may begin a part.
+    waiting: Vec<Option<ColorFrame>>,
 }
 
 /// Parts that are complete.
@@ -138,6 +141,7 @@ impl RecordingWriter {
             closing: None,
             finished: Finished::default(),
             message: Vec::new(),
+            waiting: vec![None; cameras.len()],
         })
     }
 
@@ -163,6 +167,7 @@ impl RecordingWriter {
         if header.key {
             self.turn_page(camera, header.time)?;
         }
+        self.color_that_waits(camera)?;
         let mut message = std::mem::take(&mut self.message);
         message::write(frame, &mut message);
         let place = (camera, Role::Saint);
@@ -193,6 +198,24 @@ impl RecordingWriter {
     /// # Errors
     /// As [`frame_of`](Self::frame_of).
     pub fn color_of(&mut self, camera: usize, frame: &ColorFrame) -> Result<(), RecordingError> {
+        self.stream(camera)?;
+        if self.options.split.is_none() {
+            return self.put_color(camera, frame);
+        }
+        self.color_that_waits(camera)?;
+        self.waiting[camera] = Some(frame.clone());
+        Ok(())
+    }
+
+    /// Writes the colour image that waits for the next frame of its camera.
+    fn color_that_waits(&mut self, camera: usize) -> Result<(), RecordingError> {
+        match self.waiting[camera].take() {
+            Some(image) => self.put_color(camera, &image),
+            None => Ok(()),
+        }
+    }
+
+    fn put_color(&mut self, camera: usize, frame: &ColorFrame) -> Result<(), RecordingError> {
         let lags = self.stream(camera)?.lags;
         let stamp = self.page(lags).log_time(camera, frame.time, true);
         let mut message = std::mem::take(&mut self.message);
@@ -249,6 +272,9 @@ impl RecordingWriter {
     /// # Errors
     /// As [`frame`](Self::frame); closed chunks stay readable then.
     pub fn finish(&mut self) -> Result<RecordingSummary, RecordingError> {
+        for camera in 0..self.streams.len() {
+            self.color_that_waits(camera)?;
+        }
         self.close_lagging()?;
         let result = self.current.part.finish();
         result.map_err(|error| self.beside(error))?;

@@ -30,7 +30,7 @@ pub use open::{holds_depth_images, is_container};
 use super::CaptureError;
 use super::sequences::camera::Said;
 use super::sequences::{SequenceOptions, input};
-use crate::frame::FrameTime;
+use crate::frame::{ColorFrame, FrameTime};
 use crate::intrinsics::Calibration;
 use std::path::Path;
 
@@ -98,6 +98,12 @@ trait Container: Send {
     /// # Errors
     /// The file is damaged or cut here; what follows may still be read by the next call.
     fn next(&mut self, image: &mut DepthImage) -> Result<bool, CaptureError>;
+
+    /// The colour image that stands before the depth image last read, where there is one; of
+    /// several the newest.
+    fn take_color(&mut self) -> Option<ColorFrame> {
+        None
+    }
 }
 
 /// Opens a file that [`is_container`] knows.

@@ -6,7 +6,7 @@ use crate::capture::sequences::metres::{Planar, Refused};
 use crate::capture::sequences::timestamps::frame_time;
 use crate::capture::sequences::{DEFAULT_FPS, DEFAULT_UNIT_M, SequenceOptions, in_frame, input};
 use crate::capture::{CaptureError, FrameSource, Next, SourceLosses};
-use crate::frame::{Camera, DepthFrame, FrameTime};
+use crate::frame::{Camera, ColorFrame, DepthFrame, FrameTime};
 use std::path::{Path, PathBuf};
 
 /// Never live: the caller's pace is the pace.
@@ -27,6 +27,8 @@ pub(super) struct ContainerSource {
     last: Option<(u64, FrameTime)>,
     losses: SourceLosses,
     refused: Refused,
+    /// Colour images are wanted.
+    color: bool,
 }
 
 impl ContainerSource {
@@ -93,6 +95,7 @@ impl ContainerSource {
             last: None,
             losses: SourceLosses::default(),
             refused: Refused::default(),
+            color: !options.without_color,
         })
     }
 
@@ -182,6 +185,11 @@ impl FrameSource for ContainerSource {
         self.last = Some((number, time));
         (frame.sequence, frame.time) = (number, time);
         Ok(Next::Frame)
+    }
+
+    fn take_color(&mut self) -> Option<ColorFrame> {
+        let color = self.container.take_color();
+        color.filter(|_| self.color)
     }
 
     fn losses(&self) -> SourceLosses {

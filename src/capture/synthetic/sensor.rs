@@ -54,61 +54,55 @@ impl NoiseModel {
     #[must_use]
     pub fn sensor(self) -> Sensor {
         match self {
-            Self::Off => Sensor {
-                sigma_inverse_m: 0.0,
-                step_inverse_m: 0.0,
-                sigma_floor_m: 0.0,
-                sigma_growth_per_m: 0.0,
-                window_px: 1,
-                hole_level: f32::INFINITY,
-                blind_border: false,
-                baseline_m: 0.0,
-                focal_per_width: 0.9,
-                range_m: (0.0, f64::INFINITY),
-                flying_pixels: false,
-            },
+            Self::Off => IDEAL,
             Self::Kinect => Sensor {
                 sigma_inverse_m: 1.15e-3,
                 step_inverse_m: 1.0 / (8.0 * 43.5),
-                sigma_floor_m: 0.0,
-                sigma_growth_per_m: 0.0,
                 window_px: 5,
                 hole_level: 2.5,
-                blind_border: false,
                 baseline_m: 0.075,
-                focal_per_width: 0.9,
                 range_m: (0.4, 8.0),
-                flying_pixels: false,
+                ..IDEAL
             },
             Self::Stereo => Sensor {
                 sigma_inverse_m: 2.4e-3,
                 step_inverse_m: 1.0 / (32.0 * 21.3),
-                sigma_floor_m: 0.0,
-                sigma_growth_per_m: 0.0,
                 window_px: 9,
                 hole_level: 1.96,
                 blind_border: true,
                 baseline_m: 0.05,
                 focal_per_width: 0.6,
                 range_m: (0.2, 10.0),
-                flying_pixels: false,
+                ..IDEAL
             },
             Self::Tof => Sensor {
-                sigma_inverse_m: 0.0,
-                step_inverse_m: 0.0,
                 sigma_floor_m: 1.0e-3,
                 sigma_growth_per_m: 0.3e-3,
                 window_px: 3,
                 hole_level: 2.6,
-                blind_border: false,
-                baseline_m: 0.0,
                 focal_per_width: 0.79,
                 range_m: (0.25, 5.5),
                 flying_pixels: true,
+                ..IDEAL
             },
         }
     }
 }
+
+/// A sensor without faults; the others are told by where they differ.
+const IDEAL: Sensor = Sensor {
+    sigma_inverse_m: 0.0,
+    step_inverse_m: 0.0,
+    sigma_floor_m: 0.0,
+    sigma_growth_per_m: 0.0,
+    window_px: 1,
+    hole_level: f32::INFINITY,
+    blind_border: false,
+    baseline_m: 0.0,
+    focal_per_width: 0.9,
+    range_m: (0.0, f64::INFINITY),
+    flying_pixels: false,
+};
 
 /// The numbers of a noise model.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -126,23 +126,6 @@ mod tests {
     use super::*;
     use crate::capture::v4l2::node_kind::NodeKind;
 
-    fn report() -> DeviceReport {
-        DeviceReport {
-            path: "/dev/video3".into(),
-            driver: "uvcvideo".into(),
-            card: "Camera".into(),
-            bus: "nowhere".into(),
-            usb_id: None,
-            serial: None,
-            kind: NodeKind::Depth,
-            depth: true,
-            reason: "depth".into(),
-            busy: None,
-            held_by: Vec::new(),
-            formats: Vec::new(),
-        }
-    }
-
     #[test]
     fn intrinsics_follow_the_size_and_not_another_shape() {
         let given = Intrinsics {
@@ -167,7 +150,12 @@ mod tests {
                 depth_unit_m: given,
                 ..V4l2Options::default()
             };
-            depth_unit_m(&options, own, &report(), format)
+            depth_unit_m(
+                &options,
+                own,
+                &DeviceReport::sample(NodeKind::Depth, &[]),
+                format,
+            )
         };
         let z16 = DepthFormat::Z16;
         assert_eq!(unit(Some(0.5), Some(0.1), z16).unwrap(), (0.5, GIVEN));

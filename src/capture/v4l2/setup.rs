@@ -285,34 +285,11 @@ fn check_side(path: &Path, plan: &Plan) -> Result<(), CaptureError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::v4l2::offer::OfferedFormat;
-
-    fn report(kind: NodeKind, codes: &[&[u8; 4]]) -> DeviceReport {
-        let format = |code: &&[u8; 4]| OfferedFormat {
-            pixel_format: FourCc(**code),
-            description: String::new(),
-            sizes: Vec::new(),
-            size_range: None,
-        };
-        DeviceReport {
-            path: "/dev/video3".into(),
-            driver: "uvcvideo".into(),
-            card: "Camera".into(),
-            bus: "nowhere".into(),
-            usb_id: None,
-            serial: None,
-            kind,
-            depth: kind == NodeKind::Depth,
-            reason: "the reason".into(),
-            busy: None,
-            held_by: Vec::new(),
-            formats: codes.iter().map(format).collect(),
-        }
-    }
 
     #[test]
     fn nodes_without_depth_are_refused_with_the_reason() {
-        let check = |kind, codes: &[&[u8; 4]], asked| check_kind(&report(kind, codes), asked);
+        let check =
+            |kind, codes: &[&[u8; 4]], asked| check_kind(&DeviceReport::sample(kind, codes), asked);
         assert!(check(NodeKind::Depth, &[b"Z16 "], None).is_ok());
         assert!(
             check(NodeKind::Grey, &[b"Y16 "], None).is_ok(),

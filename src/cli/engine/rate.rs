@@ -2,7 +2,13 @@
 
 use saint_live::codec::rate::{Decision, RateControl};
 use saint_live::codec::{CodecOptions, EncodedFrame};
+use saint_live::contact_map::labels::SaintFrame;
 use saint_live::fit::contact_distance::ContactDistance;
+use saint_live::fit::live::Modeler;
+use saint_live::frame::DepthFrame;
+use saint_live::pipeline::StageError;
+use saint_live::pipeline::packet::ModelReport;
+use saint_live::pipeline::stages::Model;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The encoder's end.
@@ -74,12 +80,40 @@ impl Rate {
 }
 
 impl Plan {
+    /// The model stage that follows it.
+    pub fn of(self, modeler: Modeler) -> Planned {
+        Planned {
+            plan: self,
+            modeler,
+        }
+    }
+
     /// The distance from the next frame on, where it changes.
-    pub fn next(&mut self) -> Option<ContactDistance> {
+    fn next(&mut self) -> Option<ContactDistance> {
         let mut received = self.received.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(decision) = received.take() {
             self.own.next = Some(decision);
         }
         self.own.step()
+    }
+}
+
+/// The live fit with a contact distance that changes.
+pub struct Planned {
+    plan: Plan,
+    modeler: Modeler,
+}
+
+impl Model for Planned {
+    fn model(
+        &mut self,
+        depth: &DepthFrame,
+        saint: &mut SaintFrame,
+        deadline: &dyn Fn() -> bool,
+    ) -> Result<ModelReport, StageError> {
+        if let Some(distance) = self.plan.next() {
+            self.modeler.set_contact_distance(&distance);
+        }
+        Model::model(&mut self.modeler, depth, saint, deadline)
     }
 }

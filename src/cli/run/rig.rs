@@ -35,7 +35,7 @@ struct Opened<'a> {
 /// `saint-live --rig FILE`, or `--device` more than once.
 pub(super) fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
     let rig = resolve(args)?;
-    if args.stream.stats == Some(StatsArg::Csv) || args.stream.trace.is_some() {
+    if args.stream.run.stats == Some(StatsArg::Csv) || args.stream.run.trace.is_some() {
         return Err(Failure::usage(
             "--stats csv and --trace are for one camera; several give --stats json or text",
         ));
@@ -86,7 +86,7 @@ pub(super) fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
 fn resolve(args: &LiveArgs) -> Result<Rig, Failure> {
     match &args.rig {
         Some(path) => Ok(Rig::read(path)?),
-        None if args.color_device.is_some() || args.camera.intrinsics.is_some() => {
+        None if args.capture.color_device.is_some() || args.capture.camera.intrinsics.is_some() => {
             Err(Failure::usage(
                 "with several cameras, colour and intrinsics belong to one of them: write a rig \
                  file and give it with --rig",
@@ -103,15 +103,14 @@ fn open<'a>(
     engine: &Engine,
     quiet: bool,
 ) -> Result<Opened<'a>, Failure> {
-    let mut own = args.clone();
-    own.device = vec![camera.device.clone()];
+    let mut own = args.capture.clone();
     own.size = camera.size.or(own.size);
     own.fps = camera.fps.or(own.fps);
     own.pixel_format = camera.pixel_format.clone().or(own.pixel_format);
     own.camera.intrinsics = camera.intrinsics.clone();
     own.camera.depth_unit = camera.depth_unit_m.map(Length).or(own.camera.depth_unit);
     own.color_device.clone_from(&camera.color_device);
-    let mut run = Run::new(engine.clone(), &args.stream, camera.device.clone(), quiet)?;
+    let mut run = Run::new(engine.clone(), &args.stream, camera.device.clone(), quiet);
     if let Some(pose) = camera
         .pose
         .or_else(|| source::synthetic_pose(&camera.device))
@@ -121,7 +120,7 @@ fn open<'a>(
     if let Some(color) = &camera.color_camera {
         run.note_color_camera(color)?;
     }
-    let source = source::live(&own)?;
+    let source = source::live(&camera.device, &own)?;
     if !quiet {
         source::introduce(source.as_ref());
     }
@@ -151,11 +150,11 @@ fn stream(
     let pace = pace_of(source.as_ref());
     let facts = source.camera().clone();
     let (mut model, mut encode) = engine::stages(&facts, &run.engine)?;
-    let mut display = Display::of_camera(&name, run.stream.stats);
+    let mut display = Display::of_camera(&name, run.stream.run.stats);
     let stages = Stages {
         source: source.as_mut(),
         color: color.as_mut().map(|color| color as &mut dyn ColorSource),
-        model: &mut model,
+        model: model.as_mut(),
         encode: &mut encode,
         sink: &mut output,
         trace: None,
@@ -183,7 +182,7 @@ fn stream(
     }
     result?;
     shown?;
-    if outcome.report.frames == 0 && run.stream.frames != Some(0) {
+    if outcome.report.frames == 0 && run.stream.run.frames != Some(0) {
         run.nothing_written(&outcome.report, pace)?;
     }
     run.judge(&outcome.report)

@@ -1,6 +1,6 @@
 //! A colour camera beside the depth camera. Whatever happens to it, depth goes on.
 
-use super::super::args::LiveArgs;
+use super::super::args::CaptureArgs;
 use super::super::message;
 use saint_live::capture::color::{ColorLosses, ColorSource as ColorCamera};
 use saint_live::capture::{CaptureError, Next};
@@ -16,7 +16,7 @@ const LOOK: Duration = Duration::from_millis(5);
 const POLL: Duration = Duration::from_millis(100);
 
 /// The colour camera that `--color-device` names. One that does not open is told and tried again.
-pub fn color(args: &LiveArgs) -> Option<Color> {
+pub fn color(args: &CaptureArgs) -> Option<Color> {
     let mut color = Color {
         device: args.color_device.clone()?,
         fps: args.fps,

@@ -1,6 +1,7 @@
 //! Files that were cut, damaged, or never ours.
 
 use super::*;
+use crate::recording::repair;
 use std::fs::OpenOptions;
 use std::os::unix::fs::FileExt;
 
@@ -169,4 +170,78 @@ proptest! {
         let (played, _) = play(&path);
         prop_assert!(played.len() <= 5 + 400);
     }
+}
+
+#[test]
+fn attachments_and_metadata_survive_a_repair() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mended) = (folder.path().join("a.mcap"), folder.path().join("b.mcap"));
+    let frames = stream(12, 3);
+    record(&path, &frames);
+    // another program's additions stand between the chunks and the end mark
+    let attach = |name: &str, data: &[u8]| {
+        let text = |text: &[u8]| [&(text.len() as u32).to_le_bytes()[..], text].concat();
+        let mut body = [7u64.to_le_bytes(), 8u64.to_le_bytes()].concat();
+        body.extend([text(name.as_bytes()), text(b"text/plain")].concat());
+        body.extend((data.len() as u64).to_le_bytes());
+        body.extend(data);
+        body.extend(crc32fast::hash(&body).to_le_bytes());
+        [&[9], &(body.len() as u64).to_le_bytes()[..], &body].concat()
+    };
+    let note = {
+        let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+        let map = [text("where"), text("kitchen")].concat();
+        let body = [
+            text("notes"),
+            (map.len() as u32).to_le_bytes().to_vec(),
+            map,
+        ]
+        .concat();
+        [&[12], &(body.len() as u64).to_le_bytes()[..], &body].concat()
+    };
+    let bytes = std::fs::read(&path).unwrap();
+    let end = find_record(&bytes, mcap::records::op::DATA_END);
+    let mut broken = attach("broken", b"changed on its way");
+    let last = broken.len() - 5;
+    broken[last] ^= 1;
+    let added = [attach("whole", b"kept"), broken, note].concat();
+    let whole = [&bytes[..end], &added, &bytes[end..]].concat();
+    for cut in [0, 9] {
+        // without the end mark and with it; the index is off by what was added in any case
+        std::fs::write(&path, &whole[..whole.len() - cut]).unwrap();
+        let target = Target::File {
+            path: mended.clone(),
+            overwrite: true,
+        };
+        let report = repair(&path, target).unwrap();
+        assert_eq!(report.frames_kept, 12);
+        assert_eq!((report.attachments_kept, report.metadata_kept), (1, 1));
+        let told = report
+            .damaged
+            .iter()
+            .filter(|d| d.offset > 8 && (d.offset as usize) < whole.len());
+        assert!(told.count() >= 1, "{:?}", report.damaged);
+        let bytes = std::fs::read(&mended).unwrap();
+        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+        let index = &summary.attachment_indexes[..];
+        assert_eq!((index.len(), index[0].name.as_str()), (1, "whole"));
+        let attachment = mcap::read::attachment(&bytes, &index[0]).unwrap();
+        assert_eq!((&*attachment.data, attachment.log_time), (&b"kept"[..], 7));
+        let names: Vec<_> = summary
+            .metadata_indexes
+            .iter()
+            .map(|m| m.name.as_str())
+            .collect();
+        assert!(names.contains(&"notes"), "{names:?}");
+        assert_eq!(play(&mended).0, frames);
+    }
+}
+
+/// Where the first record of this kind stands.
+fn find_record(bytes: &[u8], code: u8) -> usize {
+    let mut at = mcap::MAGIC.len();
+    while bytes[at] != code {
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+    }
+    at
 }

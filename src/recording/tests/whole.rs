@@ -276,3 +276,42 @@ fn a_deleted_file_is_noticed() {
     assert_eq!(error.kept_frames(), Some(0));
     assert_eq!(writer.kept_frames(), 0);
 }
+
+#[test]
+fn a_colour_image_goes_into_the_part_of_its_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = WriterOptions {
+        split: Some(Split::Time(Duration::from_secs(1))),
+        ..WriterOptions::default()
+    };
+    let target = file(&folder.path().join("a.mcap"));
+    let mut writer = RecordingWriter::create(target, &camera(), &options).unwrap();
+    for frame in &stream(90, 30) {
+        let image = ColorFrame {
+            sequence: frame.sequence,
+            time: frame.time,
+            format: "jpeg".into(),
+            data: vec![frame.sequence as u8],
+        };
+        // as the pipeline does it: the image first, so that who reads the frame has it
+        writer.color(&image).unwrap();
+        writer.frame(frame).unwrap();
+    }
+    let summary = writer.finish().unwrap();
+    assert_eq!((summary.parts, summary.color_frames), (3, 90));
+    for (n, part) in ["a-001.mcap", "a-002.mcap", "a-003.mcap"]
+        .iter()
+        .enumerate()
+    {
+        let mut reader = RecordingReader::open(&folder.path().join(part)).unwrap();
+        let mut frame = EncodedFrame::default();
+        let (mut numbers, mut images) = (Vec::new(), Vec::new());
+        while reader.next_frame(&mut frame).unwrap() {
+            numbers.push(frame.sequence);
+            images.extend(reader.take_colors().iter().map(|image| image.sequence));
+        }
+        let first = 100 + 30 * n as u64;
+        assert_eq!(numbers, (first..first + 30).collect::<Vec<_>>());
+        assert_eq!(images, numbers, "{part}");
+    }
+}

@@ -27,27 +27,15 @@ struct Mode {
     from: (f64, f64),
 }
 
+const fn mode(size: (u32, u32), side: f64, from: (f64, f64)) -> Mode {
+    Mode { size, side, from }
+}
+
 const MODES: [Mode; 4] = [
-    Mode {
-        size: (640, 576),
-        side: 1024.0,
-        from: (192.0, 180.0),
-    },
-    Mode {
-        size: (320, 288),
-        side: 512.0,
-        from: (96.0, 90.0),
-    },
-    Mode {
-        size: (1024, 1024),
-        side: 1024.0,
-        from: (0.0, 0.0),
-    },
-    Mode {
-        size: (512, 512),
-        side: 512.0,
-        from: (0.0, 0.0),
-    },
+    mode((640, 576), 1024.0, (192.0, 180.0)),
+    mode((320, 288), 512.0, (96.0, 90.0)),
+    mode((1024, 1024), 1024.0, (0.0, 0.0)),
+    mode((512, 512), 512.0, (0.0, 0.0)),
 ];
 
 /// The pinhole of a depth image of this size; says why there is none.

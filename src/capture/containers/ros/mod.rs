@@ -15,8 +15,8 @@ pub(super) use messages::Kind;
 use super::{About, Container, DepthImage, Stamp, damaged};
 use crate::capture::CaptureError;
 use crate::capture::sequences::SequenceOptions;
-use crate::frame::FrameTime;
-use crate::recording::raw::{CLOCK_NOTE, SEQUENCE_NOTE, WALL_NOTE};
+use crate::frame::{ColorFrame, FrameTime};
+use crate::recording::raw::{CLOCK_NOTE, COLOR_TOPIC, SEQUENCE_NOTE, WALL_NOTE};
 use messages::{CompressedImage, Image};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,6 +60,8 @@ pub(super) struct RosImages {
     raw: Option<RawClock>,
     scratch: Vec<u8>,
     images: u64,
+    /// The newest colour image between the last two depth images, of a raw capture.
+    color: Option<ColorFrame>,
 }
 
 /// How a raw capture of this program keeps numbers and times.
@@ -92,6 +94,17 @@ impl RawClock {
         self.last
     }
 
+    /// A colour image of the capture; its number is as MCAP keeps it.
+    fn color(self, message: &Message<'_>) -> Option<ColorFrame> {
+        let image = CompressedImage::read(message.data, message.channel.layout)?;
+        Some(ColorFrame {
+            sequence: message.sequence.map_or(0, u64::from),
+            time: self.time(message),
+            format: image.format.to_owned(),
+            data: image.data.to_vec(),
+        })
+    }
+
     fn time(self, message: &Message<'_>) -> FrameTime {
         let ns = |time: u64| i64::try_from(time).unwrap_or(i64::MAX);
         FrameTime {
@@ -117,6 +130,7 @@ impl RosImages {
             about: found.about,
             scratch: Vec::new(),
             images: 0,
+            color: None,
         })
     }
 }
@@ -126,12 +140,22 @@ impl Container for RosImages {
         &self.about
     }
 
+    fn take_color(&mut self) -> Option<ColorFrame> {
+        self.color.take()
+    }
+
     fn next(&mut self, out: &mut DepthImage) -> Result<bool, CaptureError> {
         let message = loop {
             match self.log.next()? {
                 None => return Ok(false),
                 Some(message) if message.channel.topic == self.topic => break message,
-                Some(_) => {}
+                Some(message) => {
+                    if let Some(raw) = self.raw
+                        && message.channel.topic == COLOR_TOPIC
+                    {
+                        self.color = raw.color(&message).or(self.color.take());
+                    }
+                }
             }
         };
         let number = self.images;
