@@ -1,4 +1,4 @@
-//! Random numbers of the fits.
+//! Random numbers of the fits and the experiments.
 
 /// splitmix64 (Steele, Lea & Flood, OOPSLA 2014): one seed, one stream.
 #[derive(Clone, Debug)]
@@ -9,7 +9,7 @@ impl Draw {
         Self(seed)
     }
 
-    fn next(&mut self) -> u64 {
+    pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -8,7 +8,7 @@ mod cold;
 pub mod contact_distance;
 mod contacts;
 mod cover;
-mod draw;
+pub(crate) mod draw;
 mod fewer;
 pub mod framewise;
 mod hypothesis;
