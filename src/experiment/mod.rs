@@ -25,8 +25,8 @@ pub mod schemes;
 pub mod storage;
 pub mod subject;
 
-use crate::fit::draw::Draw;
 use crate::fit::cloud::{CloudModel, FitParameters, Scheme};
+use crate::fit::draw::Draw;
 use crate::fit::scheme::{CloudFit, ParameterError};
 use crate::partition::points::{LocalPoints, TooManyPoints};
 pub use report::{Cell, Curve, Report, Series, Table};

@@ -7,7 +7,7 @@ use crate::deproject::{Rays, Validity};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::framewise::FrameCloud;
 use crate::frame::{Camera, DepthFrame};
-use crate::model::build::digits;
+use crate::model::build::printed_distance;
 use crate::partition::points::LocalPoints;
 use glam::DVec3;
 use std::f64::consts::TAU;
@@ -49,7 +49,7 @@ impl Subject {
         let stride = finite.len().div_ceil(max_points.max(1)).max(1);
         let points: Vec<DVec3> = finite.into_iter().step_by(stride).collect();
         let diagonal = diagonal(&points);
-        let share = ContactDistance::constant(digits(diagonal * CONTACT_SHARE, 2));
+        let share = ContactDistance::constant(printed_distance(diagonal * CONTACT_SHARE, 2));
         if points.len() < 50 || diagonal <= 0.0 {
             return Err(ExperimentError::Data(format!(
                 "{name} has {} usable points over {diagonal} m; an experiment needs at least 50 that are not all in one place",

@@ -7,6 +7,7 @@ use crate::contact_map::merged::{ClaimMap, LiteralMap};
 use crate::contact_map::polar::PolarGrid;
 use crate::contact_map::polar_frame::default_step_m;
 use crate::fit::cloud::{CloudModel, FitParameters, UNASSIGNED};
+use crate::fit::contact_distance::ContactDistance;
 use crate::fit::point_moments::PointMoments;
 use crate::partition::points::LocalPoints;
 use crate::quality::cloud_error;
@@ -79,7 +80,7 @@ pub fn extent_m(points: &LocalPoints) -> DVec3 {
 /// digits, so that what is printed is what was used.
 #[must_use]
 pub fn default_contact_m(extent_m: DVec3) -> f64 {
-    two_digits(0.005 * extent_m.length())
+    printed_distance(two_digits(0.005 * extent_m.length()), 2)
 }
 
 /// A cube size for an object nobody gave one for: an eighth of the diagonal, to two digits.
@@ -91,6 +92,13 @@ pub fn default_cube_m(extent_m: DVec3) -> f64 {
 fn two_digits(length_m: f64) -> f64 {
     let rounded = digits(length_m, 2);
     if rounded > 0.0 { rounded } else { 1.0 }
+}
+
+/// The contact distance with so many digits of a millimetre, exactly as its text reads back.
+pub(crate) fn printed_distance(length_m: f64, count: usize) -> f64 {
+    let text = format!("{}mm", digits(1e3 * length_m, count));
+    let read = text.parse::<ContactDistance>();
+    read.map_or(length_m, |distance| distance.floor_m)
 }
 
 /// The number with so many digits, at least one, as the double nearest to what is printed.

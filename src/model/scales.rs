@@ -4,7 +4,7 @@
 //! multi-scale representation". Given the number, the distance is searched: the smallest at which
 //! so many spheres still explain all but 0.1 % of the points.
 
-use super::build::digits;
+use super::build::printed_distance;
 use crate::fit::cloud::{CloudModel, FitParameters, UNEXPLAINED_SHARE};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::scheme::{CloudFit, ParameterError};
@@ -55,7 +55,7 @@ pub fn fit(
         ))
     };
     let (mut too_small, mut enough): (Option<f64>, Option<(f64, Scaled)>) = (None, None);
-    let mut contact_m = digits(guess_m, DIGITS).max(floor_m);
+    let mut contact_m = printed_distance(guess_m, DIGITS).max(floor_m);
     for _ in 0..TRIES {
         let (reached, scaled) = attempt(contact_m)?;
         if reached {
@@ -70,7 +70,7 @@ pub fn fit(
             (Some((at, _)), None) => (0.5 * at).max(floor_m),
             (None, _) => 2.0 * contact_m,
         };
-        contact_m = digits(contact_m, DIGITS).max(floor_m);
+        contact_m = printed_distance(contact_m, DIGITS).max(floor_m);
     }
     if let Some((_, scaled)) = enough {
         return Ok(scaled);
