@@ -1,14 +1,12 @@
 //! The search for the one sphere that most of the remaining points touch.
 //!
-//! Paper 3.2 draws random points and keeps the best fit. Three deviations, each measured on
-//! scanned objects at 1 mm contact distance to save spheres or time:
+//! Paper 3.2 draws random points and keeps the best fit. Deviations, each measured on scanned
+//! objects at 1 mm contact distance to save spheres or time:
 //! - the four points come from a window of random width on a Morton curve, as points drawn from
 //!   the whole object seldom share a surface;
 //! - hypotheses are scored on a coarse sample first, the short list on a fine one;
 //! - runners-up stay candidates for the next sphere: what else they touch is still there;
-//! - the winner is refitted by moments, then bent within the contact distance: least squares
-//!   minimises distance, but what counts is the number of contacts (a tenth fewer spheres for
-//!   the same points);
+//! - some of the short list are refitted by moments, and the winner is bent (`fit/bend.rs`);
 //! - the last fifth of the points gets more trials: it takes two thirds of the spheres.
 
 use super::bend::Bends;
@@ -59,6 +57,7 @@ const NEAR: f32 = 4.0;
 const SHORT_LIST: usize = 24;
 /// Refits by moments per hypothesis, at most.
 const REFIT_ROUNDS: usize = 2;
+
 /// A sphere and the points of a sample that touch it.
 #[derive(Clone, Copy, Debug)]
 struct Scored {
@@ -88,8 +87,8 @@ impl SphereSearch {
         self.short_list.clear();
     }
 
-    /// A sphere that many of the `remaining` points touch, after `found` others. `None` where no four of those drawn
-    /// span a surface.
+    /// A sphere that many of the `remaining` points touch, after `found` others. `None` where no
+    /// four of those drawn span a surface.
     pub fn best(
         &mut self,
         points: &Ordered,
@@ -126,7 +125,7 @@ impl SphereSearch {
                     continue;
                 };
                 let score = self.coarse.touching_surface(&surface);
-                if score > least(&self.drawn, SHORT_LIST)
+                if enters(score, &self.drawn, SHORT_LIST)
                     && let Some(sphere) = surface.sphere()
                 {
                     keep_best(&mut self.drawn, Scored { score, sphere }, SHORT_LIST);
@@ -186,9 +185,9 @@ fn every(stride: usize, places: &[u32], sample: &mut Vec<u32>) {
     sample.extend(places.iter().step_by(stride.max(1)));
 }
 
-/// The score that a newcomer to a list of at most `limit` must pass.
-fn least(list: &[Scored], limit: usize) -> usize {
-    list.get(limit - 1).map_or(0, |last| last.score)
+/// True where a newcomer of this score enters a list of at most `limit`.
+fn enters(score: usize, list: &[Scored], limit: usize) -> bool {
+    list.get(limit - 1).is_none_or(|last| score > last.score)
 }
 
 /// Inserts into a list of at most `limit`, best first; the earlier of two equals stays ahead.
