@@ -87,6 +87,9 @@ fn a_scene_of_two_objects_is_modelled_told_and_exported() {
             (&1.into(), &1.0.into())
         );
         assert!(part["residual"]["max_m"].as_f64().unwrap() < 1e-5, "{part}");
+        // cells of half a millimetre, their corners 0.35 mm from the middle
+        let chamfer_m = part["chamfer_m"].as_f64().unwrap();
+        assert!(chamfer_m > 1e-5 && chamfer_m < 3.6e-4, "{part}");
     }
     assert_eq!(
         told["bytes"].as_u64().unwrap(),
@@ -98,6 +101,7 @@ fn a_scene_of_two_objects_is_modelled_told_and_exported() {
         "as given",
         "100.00 % explained",
         "1 spheres",
+        "Chamfer 0.",
     ] {
         assert!(stderr.contains(word), "no `{word}` in {stderr}");
     }
@@ -220,7 +224,10 @@ fn scales_decode_each_from_one_file() {
     assert_eq!(told["scales"], json("[1, 2, 4]"));
     let distance = |part: usize| {
         let text = told["parts"][part]["contact_distance"].as_str().unwrap();
-        text.trim_end_matches("mm").parse::<f64>().unwrap()
+        let number = text.trim_end_matches("mm");
+        let digits = number.trim_start_matches(['0', '.']).replace('.', "");
+        assert!(digits.len() <= 3, "{text}");
+        number.parse::<f64>().unwrap()
     };
     assert!(distance(0) > distance(1) && distance(1) > distance(2));
     for (part, scale) in ["1", "2", "4"].iter().enumerate() {

@@ -28,6 +28,7 @@ struct Report<'a> {
     read_s: f64,
     fit_s: f64,
     map_s: f64,
+    check_s: f64,
     peak_memory_mb: f64,
     #[serde(flatten)]
     scene: &'a Scene,
@@ -39,6 +40,8 @@ struct Spent {
     read_s: f64,
     fit_s: f64,
     map_s: f64,
+    /// The Chamfer distance.
+    check_s: f64,
 }
 
 fn timed<T>(spent_s: &mut f64, work: impl FnOnce() -> T) -> T {
@@ -100,11 +103,12 @@ pub fn run(args: &ModelArgs, quiet: bool) -> Result<(), Failure> {
             |path| format!("wrote {path}: {bytes} bytes"),
         );
         message::say(&format!(
-            "{wrote}; {} parts, {spheres} spheres; read {:.3} s, fit {:.4} s, map {:.4} s, peak memory {:.0} MB",
+            "{wrote}; {} parts, {spheres} spheres; read {:.3} s, fit {:.4} s, map {:.4} s, check {:.3} s, peak memory {:.0} MB",
             parts.len(),
             spent.read_s,
             spent.fit_s,
             spent.map_s,
+            spent.check_s,
             peak_memory_mb(),
         ));
     }
@@ -116,6 +120,7 @@ pub fn run(args: &ModelArgs, quiet: bool) -> Result<(), Failure> {
             read_s: spent.read_s,
             fit_s: spent.fit_s,
             map_s: spent.map_s,
+            check_s: spent.check_s,
             peak_memory_mb: peak_memory_mb(),
             scene: &scene,
         };
@@ -197,12 +202,13 @@ fn model(
             // residuals fall about as the number of spheres grows
             let next = scene.scales.get(scale + 1).copied().unwrap_or(*number);
             guess_m = used.contact_distance.floor_m * f64::from(*number) / f64::from(next);
+            let failed = |e| Failure::new(Kind::Failure, format_args!("{}: {e}", path.display()));
             let part = timed(&mut spent.map_s, || {
                 build::part(&points, &fitted, &used, map)
             });
-            let mut part = part.map_err(|e| {
-                Failure::new(Kind::Failure, format_args!("{}: {e}", path.display()))
-            })?;
+            let mut part = part.map_err(failed)?;
+            let chamfer_m = timed(&mut spent.check_s, || build::chamfer_m(&points, &part));
+            part.info.chamfer_m = chamfer_m.map_err(failed)?;
             part.info.object = scene.objects.len() as u32;
             part.info.scale = scale as u32;
             parts.push(part);
@@ -301,17 +307,12 @@ fn map_choice(args: &ModelArgs) -> Result<MapChoice, Failure> {
 pub fn line(scene: &Scene, part: &Part) -> String {
     let info = &part.info;
     let object = &scene.objects[info.object as usize];
-    // scales are searched for: their distance has more digits than anybody reads
-    let distance = match info.contact_distance.parse::<ContactDistance>() {
-        Ok(distance) => format!("{:.4} mm", 1e3 * distance.floor_m),
-        Err(_) => info.contact_distance.clone(),
-    };
     let mut text = format!(
         "{}: {} points -> {} spheres at {}, {:.2} % explained, residual mean {:.4} p99 {:.4} mm, {} bytes ({:.1} % of 3 floats a point)",
         object.name,
         object.points,
         info.spheres,
-        distance,
+        info.contact_distance,
         100.0 * info.explained,
         1e3 * info.residual.mean_m,
         1e3 * info.residual.p99_m,
@@ -335,6 +336,12 @@ pub fn line(scene: &Scene, part: &Part) -> String {
     );
     if map.kind == "merged" {
         let _ = write!(text, ", {} collisions", map.collisions);
+    }
+    match info.chamfer_m {
+        Some(chamfer_m) => {
+            let _ = write!(text, ", Chamfer {:.4} mm", 1e3 * chamfer_m);
+        }
+        None => text.push_str(", Chamfer not measured"),
     }
     if scene.scales.len() > 1 {
         let _ = write!(text, "; scale {}", scene.scales[info.scale as usize]);

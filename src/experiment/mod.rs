@@ -26,6 +26,7 @@ pub mod storage;
 pub mod subject;
 
 use crate::fit::cloud::{CloudModel, FitParameters, Scheme};
+use crate::fit::draw::Draw;
 use crate::fit::scheme::{CloudFit, ParameterError};
 use crate::partition::points::{LocalPoints, TooManyPoints};
 pub use report::{Cell, Curve, Report, Series, Table};
@@ -52,20 +53,20 @@ pub enum ExperimentError {
     Data(String),
 }
 
-/// splitmix64 (Steele, Lea & Flood, OOPSLA 2014): one seed, one stream.
+/// Random numbers of the experiments.
 #[derive(Clone, Debug)]
-pub(crate) struct Chance(u64);
+pub(crate) struct Chance(Draw);
 
 impl Chance {
     pub fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x5851_f42d_4c95_7f2d)
+        // a stream of its own: the fits draw from the bare seed
+        Self(Draw::new(
+            seed.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x5851_f42d_4c95_7f2d,
+        ))
     }
 
     pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.next()
     }
 
     /// Below `n`, which must be above 0.

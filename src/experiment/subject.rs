@@ -7,6 +7,7 @@ use crate::deproject::{Rays, Validity};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::framewise::FrameCloud;
 use crate::frame::{Camera, DepthFrame};
+use crate::model::build::printed_distance;
 use crate::partition::points::LocalPoints;
 use glam::DVec3;
 use std::f64::consts::TAU;
@@ -48,7 +49,7 @@ impl Subject {
         let stride = finite.len().div_ceil(max_points.max(1)).max(1);
         let points: Vec<DVec3> = finite.into_iter().step_by(stride).collect();
         let diagonal = diagonal(&points);
-        let share = ContactDistance::constant(two_digits(diagonal * CONTACT_SHARE));
+        let share = ContactDistance::constant(printed_distance(diagonal * CONTACT_SHARE, 2));
         if points.len() < 50 || diagonal <= 0.0 {
             return Err(ExperimentError::Data(format!(
                 "{name} has {} usable points over {diagonal} m; an experiment needs at least 50 that are not all in one place",
@@ -112,19 +113,6 @@ impl Subject {
             super::report::digits(self.diagonal_m()),
             self.contact
         )
-    }
-}
-
-/// `v` to two significant digits, so that it can be said and given again.
-fn two_digits(v: f64) -> f64 {
-    if !(v > 0.0 && v.is_finite()) {
-        return v;
-    }
-    let place = v.log10().floor() as i32 - 1;
-    // divided by a whole power of ten, so that the result is the nearest double
-    match place {
-        ..0 => (v * 10f64.powi(-place)).round() / 10f64.powi(-place),
-        0.. => (v / 10f64.powi(place)).round() * 10f64.powi(place),
     }
 }
 

@@ -69,13 +69,8 @@ fn bad_clouds_are_refused_and_large_ones_thinned() {
     let share = subject.contact.floor_m / subject.diagonal_m();
     assert!((share * 500.0 - 1.0).abs() < 0.05, "{share}");
     let said = subject.describe();
-    // two digits, whatever the unit
-    assert!(
-        ["mm", "0.0069", "0.0070", "0.0068"]
-            .iter()
-            .any(|e| said.ends_with(e)),
-        "{said}"
-    );
+    // two digits, as they are read back
+    assert!(said.ends_with("mm"), "{said}");
 }
 
 #[test]

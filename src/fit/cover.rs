@@ -1,21 +1,25 @@
 //! Which points each sphere covers, and the spheres that the others make superfluous.
 
+use super::block_set::{BlockSet, Counts, list_bits};
 use super::cloud::{CloudSphere, UNASSIGNED};
+use super::lanes::Lanes;
+use super::ordered::Ordered;
 use super::point_moments::PointMoments;
-use super::remaining::Remaining;
 
 /// Shares of the way to the least-squares fit that are tried.
 const SETTLE: [f64; 3] = [1.0, 0.5, 0.25];
+/// Points that determine a least-squares fit: more change it by less than the contact distance
+/// is worth.
+const SETTLE_POINTS: usize = 512;
 
 /// Spheres over a fixed set of points. A point may be covered by several.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Cover {
     pub spheres: Vec<CloudSphere>,
-    /// Places of the points each sphere covers, ascending.
-    members: Vec<Vec<u32>>,
+    /// The points each sphere covers.
+    members: Vec<BlockSet>,
     /// How many spheres cover each point.
-    covers: Vec<u32>,
-    marks: Vec<u8>,
+    covers: Counts,
 }
 
 /// A sphere of the cover as it was.
@@ -23,75 +27,50 @@ pub(crate) struct Cover {
 pub(crate) struct Former {
     s: usize,
     sphere: CloudSphere,
-    members: Vec<u32>,
+    members: BlockSet,
 }
 
 impl Cover {
-    /// The cover of `points` by `spheres`.
-    pub fn new(points: &Remaining, spheres: &[CloudSphere]) -> Self {
-        let mut cover = Self {
-            covers: vec![0; points.len()],
+    /// No sphere over `points` points yet.
+    pub fn new(points: usize) -> Self {
+        Self {
+            covers: Counts::new(points),
             ..Self::default()
-        };
-        for sphere in spheres {
-            let mut members = Vec::new();
-            points.list_touching(sphere, &mut cover.marks, &mut members);
-            for &i in &members {
-                cover.covers[i as usize] += 1;
-            }
-            cover.spheres.push(*sphere);
-            cover.members.push(members);
         }
-        cover
+    }
+
+    /// Takes in a sphere and the points that touch it.
+    pub fn push(&mut self, sphere: CloudSphere, members: BlockSet) {
+        self.covers.add(&members);
+        self.spheres.push(sphere);
+        self.members.push(members);
     }
 
     /// Drops the sphere with the fewest points of its own, again and again, while no more than
     /// `allowed` points stay uncovered. Greedy covering leaves such spheres: later ones cover
-    /// what an early one was chosen for. O(sum of members + spheres²).
+    /// what an early one was chosen for. O(blocks of all members) for each sphere dropped.
     pub fn prune(&mut self, allowed: usize) {
-        let mut uncovered = self.covers.iter().filter(|&&c| c == 0).count();
-        // the numbers of a point's spheres, xored: where there is one, that one
-        let mut owner = vec![0u32; self.covers.len()];
-        for (s, members) in self.members.iter().enumerate() {
-            for &i in members {
-                owner[i as usize] ^= s as u32;
-            }
-        }
-        let mut own = vec![0usize; self.spheres.len()];
-        for (&covers, &owner) in self.covers.iter().zip(&owner) {
-            if covers == 1 {
-                own[owner as usize] += 1;
-            }
-        }
-        let mut left: Vec<u32> = (0..self.spheres.len() as u32).collect();
-        while let Some(place) = (0..left.len()).min_by_key(|&k| own[left[k] as usize]) {
-            let s = left[place];
-            if uncovered + own[s as usize] > allowed {
+        let mut uncovered = self.uncovered_count();
+        loop {
+            let own = self.own_counts();
+            let Some(s) = (0..own.len()).min_by_key(|&s| own[s]) else {
+                break;
+            };
+            if uncovered + own[s] > allowed {
                 break;
             }
-            uncovered += own[s as usize];
-            left.remove(place);
-            for i in std::mem::take(&mut self.members[s as usize]) {
-                let i = i as usize;
-                self.covers[i] -= 1;
-                owner[i] ^= s;
-                if self.covers[i] == 1 {
-                    own[owner[i] as usize] += 1;
-                }
-            }
+            uncovered += own[s];
+            self.covers.remove(&self.members[s]);
+            self.forget(s);
         }
-        self.spheres = left.iter().map(|&s| self.spheres[s as usize]).collect();
-        let members = left
-            .iter()
-            .map(|&s| std::mem::take(&mut self.members[s as usize]));
-        self.members = members.collect();
     }
 
     /// Points that only sphere `s` covers, for each `s`.
     pub fn own_counts(&self) -> Vec<usize> {
-        let own = |members: &Vec<u32>| {
-            let alone = |&&i: &&u32| self.covers[i as usize] == 1;
-            members.iter().filter(alone).count()
+        let own = |members: &BlockSet| {
+            let alone = |&(block, bits): &(u32, u64)| bits & self.covers.once(block);
+            let ones = members.blocks.iter().map(|b| alone(b).count_ones());
+            ones.sum::<u32>() as usize
         };
         self.members.iter().map(own).collect()
     }
@@ -99,17 +78,17 @@ impl Cover {
     /// The points that only sphere `s` covers, into `places`.
     pub fn own(&self, s: usize, places: &mut Vec<u32>) {
         places.clear();
-        let alone = |i: &u32| self.covers[*i as usize] == 1;
-        places.extend(self.members[s].iter().copied().filter(alone));
+        for &(block, bits) in &self.members[s].blocks {
+            list_bits(block, bits & self.covers.once(block), places);
+        }
     }
 
-    /// Takes the members of sphere `s` away. `open` gets the points that nobody covers then,
-    /// as it has those nobody covered before.
+    /// Takes the members of sphere `s` away. `open` gets the points that nobody covers then.
     pub fn take(&mut self, s: usize, open: &mut Vec<u32>) -> Former {
         let none = Former {
             s,
             sphere: self.spheres[s],
-            members: Vec::new(),
+            members: BlockSet::default(),
         };
         self.put(none, open)
     }
@@ -120,43 +99,49 @@ impl Cover {
         &mut self,
         s: usize,
         sphere: CloudSphere,
-        points: &Remaining,
+        points: &Ordered,
         open: &mut Vec<u32>,
     ) -> Former {
-        let mut members = Vec::new();
-        points.list_touching(&sphere, &mut self.marks, &mut members);
+        let members = points.touching(&sphere);
         self.put(Former { s, sphere, members }, open)
     }
 
-    /// The points that no sphere covers.
-    pub fn uncovered(&self) -> Vec<u32> {
-        let bare = (0u32..).zip(&self.covers).filter(|&(_, &c)| c == 0);
-        bare.map(|(i, _)| i).collect()
+    /// The points that no sphere covers, into `open`.
+    pub fn uncovered(&self, open: &mut Vec<u32>) {
+        open.clear();
+        for block in 0..self.covers.blocks() {
+            list_bits(block, self.covers.never(block), open);
+        }
+    }
+
+    fn uncovered_count(&self) -> usize {
+        let bare = (0..self.covers.blocks()).map(|b| self.covers.never(b).count_ones() as usize);
+        bare.sum()
     }
 
     fn put(&mut self, new: Former, open: &mut Vec<u32>) -> Former {
-        for &i in &self.members[new.s] {
-            self.covers[i as usize] -= 1;
-        }
-        for &i in &new.members {
-            self.covers[i as usize] += 1;
-        }
+        self.swap(new, Some(open))
+    }
+
+    fn swap(&mut self, new: Former, open: Option<&mut Vec<u32>>) -> Former {
+        let s = new.s;
+        self.covers.remove(&self.members[s]);
+        self.covers.add(&new.members);
         let former = Former {
-            s: new.s,
-            sphere: std::mem::replace(&mut self.spheres[new.s], new.sphere),
-            members: std::mem::replace(&mut self.members[new.s], new.members),
+            s,
+            sphere: std::mem::replace(&mut self.spheres[s], new.sphere),
+            members: std::mem::replace(&mut self.members[s], new.members),
         };
-        open.retain(|&i| self.covers[i as usize] == 0);
-        // those that were open already are none of the former's
-        let bare = |i: &u32| self.covers[*i as usize] == 0;
-        open.extend(former.members.iter().copied().filter(bare));
+        if let Some(open) = open {
+            self.uncovered(open);
+        }
         former
     }
 
     /// Takes the steps back, the last first.
     pub fn undo(&mut self, steps: Vec<Former>) {
         for step in steps.into_iter().rev() {
-            self.put(step, &mut Vec::new());
+            self.swap(step, None);
         }
     }
 
@@ -169,59 +154,47 @@ impl Cover {
     /// Moves each sphere towards the least-squares fit of its members, as far as it keeps the
     /// points that only it covers: what was bent for more contacts need not lie at the rim of
     /// the contact band.
-    pub fn settle(&mut self, points: &Remaining) {
-        let mut alone = Remaining::default();
-        let mut own = Vec::new();
+    pub fn settle(&mut self, points: &Ordered) {
+        let mut alone = Lanes::default();
+        let mut places = Vec::new();
         for s in 0..self.spheres.len() {
+            places.clear();
+            self.members[s].list(&mut places);
             let mut moments = PointMoments::default();
-            for &i in &self.members[s] {
+            let stride = (places.len() / SETTLE_POINTS).max(1);
+            for &i in places.iter().step_by(stride) {
                 moments.add(points.at(i as usize));
             }
             let Some(fit) = moments.fit() else { continue };
-            self.own(s, &mut own);
-            alone.pick(points, &own);
             let before = self.spheres[s];
+            self.own(s, &mut places);
+            let near = points.at(places.first().map_or(0, |&i| i as usize));
+            alone.pick(&points.lanes, &places);
             let settled = SETTLE
                 .iter()
-                .filter_map(|&share| {
-                    before.towards(
-                        &fit.sphere,
-                        points.at(own.first().map_or(0, |&i| i as usize)),
-                        share,
-                    )
-                })
-                .find(|sphere| points.resolves(sphere) && alone.touching(sphere) == own.len());
+                .filter_map(|&share| before.towards(&fit.sphere, near, share))
+                .find(|sphere| {
+                    points.lanes.resolves(sphere) && alone.touching(sphere) == alone.len()
+                });
             if let Some(sphere) = settled {
-                self.replace(s, sphere, points, &mut Vec::new());
+                let members = points.touching(&sphere);
+                self.swap(Former { s, sphere, members }, None);
             }
         }
     }
 
     /// Gives every covered point to the nearest of its spheres: `assignment[id]`, by number in
     /// `spheres`.
-    pub fn assign(&self, points: &Remaining, assignment: &mut [u32]) {
-        let mut nearest = vec![f64::INFINITY; self.covers.len()];
-        for (s, (sphere, members)) in self.spheres.iter().zip(&self.members).enumerate() {
-            for &i in members {
-                let i = i as usize;
-                let place = &mut assignment[points.id[i] as usize];
-                if self.covers[i] == 1 {
-                    *place = s as u32;
-                    continue;
-                }
-                // to first order: the points are within contact distance
-                let distance = sphere.value(points.at(i)).abs();
-                if distance < nearest[i] {
-                    nearest[i] = distance;
-                    *place = s as u32;
-                }
-            }
+    pub fn assign(&self, points: &Ordered, assignment: &mut [u32]) {
+        let mut nearest = vec![f32::INFINITY; points.len()];
+        let mut owner = vec![UNASSIGNED; points.len()];
+        for (s, (sphere, members)) in (0u32..).zip(self.spheres.iter().zip(&self.members)) {
+            points
+                .lanes
+                .offer((s, sphere), members, (&mut nearest, &mut owner));
         }
-        debug_assert!(
-            self.covers
-                .iter()
-                .zip(&points.id)
-                .all(|(&c, &id)| { (c == 0) == (assignment[id as usize] == UNASSIGNED) })
-        );
+        for (&id, &owner) in points.lanes.id.iter().zip(&owner) {
+            assignment[id as usize] = owner;
+        }
     }
 }

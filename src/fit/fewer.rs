@@ -4,38 +4,34 @@
 //! Deviation. Paper 3.2 keeps every sphere it found. Found one after the other, each takes what it
 //! can and leaves slivers to the next; bent together, the others can take some slivers in.
 
+use super::bend::Bends;
 use super::cover::Cover;
-use super::remaining::Remaining;
-use super::search::{Draw, SphereSearch};
+use super::draw::Draw;
+use super::ordered::Ordered;
 
 /// Spheres given up in vain before the cover stays as it is.
-const VAIN: usize = 2;
+const VAIN: usize = 1;
 /// Spheres tried for the points of one.
 const HELPERS: usize = 12;
 /// Rounds over them.
 const ROUNDS: usize = 2;
 /// Bends of each.
-const BENDS: usize = 100;
+const BENDS: usize = 200;
 /// How near a helper passes by the points, contact distances.
 const NEAR: f64 = 4.0;
 
 /// Takes spheres out of a cover while no more than `allowed` points stay uncovered.
-pub(crate) fn fewer(
-    cover: &mut Cover,
-    points: &Remaining,
-    allowed: usize,
-    (search, draw): (&mut SphereSearch, &mut Draw),
-) {
+pub(crate) fn fewer(cover: &mut Cover, points: &Ordered, allowed: usize, draw: &mut Draw) {
     let mut spared: Vec<usize> = Vec::new();
     let mut domain = Vec::new();
-    let mut open = cover.uncovered();
+    let mut bends = Bends::default();
+    let mut open = Vec::new();
     while spared.len() < VAIN && cover.spheres.len() > 1 {
         let own = cover.own_counts();
         let candidates = (0..own.len()).filter(|s| !spared.contains(s));
         let Some(given_up) = candidates.min_by_key(|&s| own[s]) else {
             break;
         };
-        let before = open.clone();
         let mut undo = vec![cover.take(given_up, &mut open)];
         let begun = open.len();
         'search: for round in 0..ROUNDS {
@@ -48,10 +44,9 @@ pub(crate) fn fewer(
                     break 'search;
                 }
                 cover.own(s, &mut domain);
-                let own = domain.len();
                 domain.extend_from_slice(&open);
-                let bent = search.bent_over(points, &domain, &cover.spheres[s], own, BENDS, draw);
-                if let Some(bent) = bent {
+                bends.refill(&points.lanes, &domain);
+                if let Some(bent) = bends.best(&cover.spheres[s], BENDS, draw) {
                     undo.push(cover.replace(s, bent, points, &mut open));
                 }
             }
@@ -59,22 +54,20 @@ pub(crate) fn fewer(
         if open.len() <= allowed {
             cover.forget(given_up);
             cover.prune(allowed);
-            open = cover.uncovered();
             spared.clear();
         } else {
             cover.undo(undo);
-            open = before;
             spared.push(given_up);
         }
     }
 }
 
 /// The spheres that pass by the most of the `open` points, most first.
-fn helpers(cover: &Cover, points: &Remaining, open: &[u32], except: usize) -> Vec<usize> {
+fn helpers(cover: &Cover, points: &Ordered, open: &[u32], except: usize) -> Vec<usize> {
     let passes = |s: usize| {
         let near = |&&i: &&u32| {
             let i = i as usize;
-            let reach = NEAR * f64::from(points.tau(i));
+            let reach = NEAR * f64::from(points.lanes.tau(i));
             cover.spheres[s].value(points.at(i)).abs() < reach
         };
         open.iter().filter(near).count()

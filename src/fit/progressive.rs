@@ -10,13 +10,13 @@
 use super::cloud::{CloudModel, CloudSphere, FitParameters, UNASSIGNED, UNEXPLAINED_SHARE};
 use super::contact_distance::ContactDistance;
 use super::cover::Cover;
+use super::lanes::Lanes;
 use super::merge::{Patch, merge_patches};
+use super::ordered::Ordered;
 use super::point_moments::PointMoments;
-use super::remaining::Remaining;
 use crate::partition::cells::Cells;
 use crate::partition::lattice::Lattice;
 use crate::partition::points::LocalPoints;
-use glam::DVec3;
 use rayon::prelude::*;
 
 /// Starting radii per sphere.
@@ -40,7 +40,7 @@ pub struct ProgressiveFit {
 /// Buffers of one cell's fit.
 #[derive(Default)]
 struct CellFit {
-    remaining: Remaining,
+    remaining: Lanes,
     distances: Vec<f64>,
     marks: Vec<u8>,
     places: Vec<u32>,
@@ -108,13 +108,15 @@ impl ProgressiveFit {
 /// Drops the spheres whose points others touch as well: a sphere has no border, so one fitted
 /// in one cell often explains points of another.
 fn prune(points: &LocalPoints, parameters: &FitParameters, allowed: usize, model: &mut CloudModel) {
-    let mut all = Remaining::default();
-    let ids = 0..points.len() as u32;
-    all.fill(points, ids, DVec3::ZERO, &parameters.contact_distance);
-    if !model.spheres.iter().all(|s| all.resolves(s)) {
+    let mut all = Ordered::default();
+    all.fill(points, &parameters.contact_distance);
+    if !model.spheres.iter().all(|s| all.lanes.resolves(s)) {
         return;
     }
-    let mut cover = Cover::new(&all, &model.spheres);
+    let mut cover = Cover::new(all.len());
+    for sphere in &model.spheres {
+        cover.push(*sphere, all.touching(sphere));
+    }
     cover.prune(allowed);
     model.assignment.fill(UNASSIGNED);
     cover.assign(&all, &mut model.assignment);

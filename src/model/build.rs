@@ -1,14 +1,16 @@
 //! From the points of an object to a part of the scene: fit, contact map, payload, figures.
 
-use super::{MapInfo, ObjectInfo, Part, PartInfo, Residual};
+use super::{Geometry, MapInfo, ObjectInfo, Part, PartInfo, Residual};
 use crate::codec::merged::{self, MergedModel};
 use crate::codec::polar::{self, PolarCodecError};
 use crate::contact_map::merged::{ClaimMap, LiteralMap};
 use crate::contact_map::polar::PolarGrid;
 use crate::contact_map::polar_frame::default_step_m;
 use crate::fit::cloud::{CloudModel, FitParameters, UNASSIGNED};
+use crate::fit::contact_distance::ContactDistance;
 use crate::fit::point_moments::PointMoments;
 use crate::partition::points::LocalPoints;
+use crate::quality::cloud_error;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -16,6 +18,8 @@ use rayon::prelude::*;
 pub const DEFAULT_ROWS: u32 = 1024;
 /// Most points whose repetitions are counted; beyond, sorting them costs as much as the fit.
 const COUNTED_POINTS: usize = 2_000_000;
+/// Most points whose Chamfer distance is measured; beyond, it takes minutes.
+const COMPARED_POINTS: usize = 1_000_000;
 /// Single precision resolves this part of a cloud's extent.
 const RESOLVED: f64 = 1.0 / (1 << 20) as f64;
 
@@ -76,7 +80,7 @@ pub fn extent_m(points: &LocalPoints) -> DVec3 {
 /// digits, so that what is printed is what was used.
 #[must_use]
 pub fn default_contact_m(extent_m: DVec3) -> f64 {
-    two_digits(0.005 * extent_m.length())
+    printed_distance(two_digits(0.005 * extent_m.length()), 2)
 }
 
 /// A cube size for an object nobody gave one for: an eighth of the diagonal, to two digits.
@@ -86,9 +90,21 @@ pub fn default_cube_m(extent_m: DVec3) -> f64 {
 }
 
 fn two_digits(length_m: f64) -> f64 {
-    // through text: the double nearest to what is printed
-    let rounded = format!("{length_m:.1e}").parse().unwrap_or(length_m);
+    let rounded = digits(length_m, 2);
     if rounded > 0.0 { rounded } else { 1.0 }
+}
+
+/// The contact distance with so many digits of a millimetre, exactly as its text reads back.
+pub(crate) fn printed_distance(length_m: f64, count: usize) -> f64 {
+    let text = format!("{}mm", digits(1e3 * length_m, count));
+    let read = text.parse::<ContactDistance>();
+    read.map_or(length_m, |distance| distance.floor_m)
+}
+
+/// The number with so many digits, at least one, as the double nearest to what is printed.
+pub(crate) fn digits(value: f64, digits: usize) -> f64 {
+    let text = format!("{value:.*e}", digits.saturating_sub(1));
+    text.parse().unwrap_or(value)
 }
 
 /// Whether a model can be made of the points at this contact distance (metres).
@@ -159,6 +175,27 @@ pub fn residual(points: &LocalPoints, model: &CloudModel) -> Residual {
         p99_m: *p99,
         max_m: above.iter().copied().fold(*p99, f64::max),
     }
+}
+
+/// Chamfer distance between the object's points and those that the part's payload gives back,
+/// metres. None for more than a million points, and where nothing comes back.
+///
+/// # Errors
+/// A payload that does not decode.
+pub fn chamfer_m(points: &LocalPoints, part: &Part) -> Result<Option<f64>, PolarCodecError> {
+    if points.len() > COMPARED_POINTS {
+        return Ok(None);
+    }
+    let geometry = Geometry::decode(&part.payload)?;
+    let shift = geometry.origin() - points.origin;
+    let rebuilt: Vec<DVec3> = geometry
+        .points()
+        .into_iter()
+        .map(|(p, _)| p + shift)
+        .collect();
+    let original: Vec<DVec3> = (0..points.len()).map(|i| points.at(i).as_dvec3()).collect();
+    let chamfer_m = cloud_error(&original, &rebuilt).chamfer_m;
+    Ok(Some(chamfer_m).filter(|c| c.is_finite()))
 }
 
 /// Codes a fitted model with its contact map, and counts what the map keeps.

@@ -83,6 +83,10 @@ pub struct PartInfo {
     pub explained: f64,
     /// Distance of the explained points from their spheres.
     pub residual: Residual,
+    /// Symmetric Chamfer distance between the object's points and those the payload gives back,
+    /// metres; none where it was not measured.
+    #[serde(default)]
+    pub chamfer_m: Option<f64>,
     /// What became of the points in the contact map.
     pub map: MapInfo,
     /// Size of the payload.

@@ -4,6 +4,7 @@
 //! multi-scale representation". Given the number, the distance is searched: the smallest at which
 //! so many spheres still explain all but 0.1 % of the points.
 
+use super::build::printed_distance;
 use crate::fit::cloud::{CloudModel, FitParameters, UNEXPLAINED_SHARE};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::scheme::{CloudFit, ParameterError};
@@ -13,6 +14,9 @@ use crate::partition::points::LocalPoints;
 const CLOSE: f64 = 1.04;
 /// Fits per scale, at most.
 const TRIES: usize = 14;
+
+/// Digits of a distance that is tried: what is printed is what was used.
+const DIGITS: usize = 3;
 
 /// A model and the parameters it was made with.
 pub type Scaled = (CloudModel, FitParameters);
@@ -51,7 +55,7 @@ pub fn fit(
         ))
     };
     let (mut too_small, mut enough): (Option<f64>, Option<(f64, Scaled)>) = (None, None);
-    let mut contact_m = guess_m.max(floor_m);
+    let mut contact_m = printed_distance(guess_m, DIGITS).max(floor_m);
     for _ in 0..TRIES {
         let (reached, scaled) = attempt(contact_m)?;
         if reached {
@@ -66,6 +70,7 @@ pub fn fit(
             (Some((at, _)), None) => (0.5 * at).max(floor_m),
             (None, _) => 2.0 * contact_m,
         };
+        contact_m = printed_distance(contact_m, DIGITS).max(floor_m);
     }
     if let Some((_, scaled)) = enough {
         return Ok(scaled);

@@ -249,3 +249,35 @@ fn objects_without_a_surface_are_refused() {
     assert!(matches!(check(&wide, 0.001), Err(Unfit::TooWide { .. })));
     assert_eq!(check(&wide, 100.0), Ok(()));
 }
+
+#[test]
+fn chamfer_compares_what_was_given_with_what_comes_back() {
+    let given = LocalPoints::new(&ball(UTM, 3000)).unwrap();
+    let part = part_of(&ball(UTM, 3000), MapChoice::Claims(Some(0.001)));
+    let rebuilt: Vec<DVec3> = {
+        let geometry = Geometry::decode(&part.payload).unwrap();
+        let points = geometry.points().into_iter();
+        points.map(|(p, _)| p + geometry.origin()).collect()
+    };
+    let truth_m = cloud_error(&ball(UTM, 3000), &rebuilt).chamfer_m;
+    let chamfer_m = build::chamfer_m(&given, &part).unwrap().unwrap();
+    assert!((chamfer_m - truth_m).abs() < 1e-7, "{chamfer_m} {truth_m}");
+    // about another origin
+    let moved = LocalPoints::new(&ball(UTM + DVec3::X * 100.0, 3000)).unwrap();
+    let far_m = build::chamfer_m(&moved, &part).unwrap().unwrap();
+    assert!((far_m - 100.0).abs() < 0.4, "{far_m}");
+    let mut broken = part;
+    broken.payload.truncate(5);
+    assert!(build::chamfer_m(&given, &broken).is_err());
+}
+
+#[test]
+fn distances_are_what_their_text_says() {
+    for length_m in [0.0069, 0.000_685, 1.234e-5, 12.3456, 4.2e-9] {
+        let distance = ContactDistance::constant(build::printed_distance(length_m, 3));
+        let text = distance.to_string();
+        assert!(text.ends_with("mm") && text.len() < 16, "{text}");
+        assert_eq!(text.parse(), Ok(distance), "{text}");
+        assert!((distance.floor_m / length_m - 1.0).abs() < 0.005, "{text}");
+    }
+}
