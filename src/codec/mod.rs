@@ -27,6 +27,8 @@ pub mod palettes;
 pub mod payload;
 pub mod range_coder;
 pub mod residual;
+#[cfg(test)]
+mod section_tests;
 pub mod sphere_table;
 mod state;
 mod surface;
