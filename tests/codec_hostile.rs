@@ -10,15 +10,15 @@ mod frames;
 
 use frames::{Chance, Picture, camera, draw, options};
 use saint_live::codec::header::{Header, SECTIONS, Stream, Tolerance};
-use saint_live::codec::{CodecError, Decoder, EncodedFrame, Encoder};
-use saint_live::contact_map::labels::SaintFrame;
+use saint_live::codec::{CodecError, DecodedFrame, Decoder, EncodedFrame, Encoder};
+use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::fit::motion::Motion;
 use saint_live::frame::FrameTime;
 
-/// A key frame, two P frames, and the bytes of their headers.
-fn payloads(lossless: bool) -> Vec<(Vec<u8>, usize)> {
+/// A key frame, two P frames, and the bytes of their headers. `moved`: the camera moves.
+fn chain(lossless: bool, moved: bool) -> Vec<(Vec<u8>, usize)> {
     let camera = camera(44, 29);
     let mut modeler = Modeler::new(&camera, &FitOptions::default());
     let with = options(ContactDistance::default(), lossless, 30);
@@ -28,10 +28,34 @@ fn payloads(lossless: bool) -> Vec<(Vec<u8>, usize)> {
         .map(|number| {
             let frame = draw(&camera, Picture::BallsAndHoles, number, 3);
             modeler.model(&frame, &mut saint, &|| false);
+            if moved {
+                saint.motion = Motion {
+                    turn: [90, -300, 40],
+                    shift: [200, 50, -400],
+                };
+            }
             let report = encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
             (encoded.payload.clone(), report.header_bytes as usize - 4)
         })
         .collect()
+}
+
+fn payloads(lossless: bool) -> Vec<(Vec<u8>, usize)> {
+    chain(lossless, false)
+}
+
+/// What any decoded frame holds, whatever the bytes.
+#[track_caller]
+fn sound(frame: &DecodedFrame) {
+    let pixels = frame.camera.pixels();
+    assert_eq!((frame.depth_m.len(), frame.labels.len()), (pixels, pixels));
+    for (&z, &label) in frame.depth_m.iter().zip(&frame.labels) {
+        assert!(z.is_finite() && z >= 0.0, "{z} m");
+        assert_eq!(z == 0.0, label == INVALID, "{z} m, label {label}");
+        let sphere = frame.spheres.get(usize::from(label));
+        let named = matches!(label, NO_SPHERE | INVALID) || matches!(sphere, Some(Some(_)));
+        assert!(named, "label {label} names no sphere");
+    }
 }
 
 /// The same bytes with a checksum that matches.
@@ -89,8 +113,8 @@ fn every_flipped_bit_is_an_error() {
 /// Damage behind a checksum that matches reaches the parsers of the sections.
 #[test]
 fn sealed_damage_gives_an_error_or_a_frame() {
-    for lossless in [false, true] {
-        let payloads = payloads(lossless);
+    for (lossless, moved) in [(false, false), (true, false), (false, true)] {
+        let payloads = chain(lossless, moved);
         let mut chance = Chance(41);
         let (mut errors, mut decoded) = (0, 0);
         for _ in 0..2000 {
@@ -108,8 +132,8 @@ fn sealed_damage_gives_an_error_or_a_frame() {
             let mut decoder = decoder_before(&payloads, n);
             match decoder.decode(&sealed(&body)) {
                 Ok(frame) => {
-                    assert_eq!(frame.depth_m.len(), 44 * 29);
-                    assert_eq!(frame.labels.len(), 44 * 29);
+                    assert_eq!(frame.camera.pixels(), 44 * 29);
+                    sound(frame);
                     decoded += 1;
                 }
                 Err(_) => {
@@ -127,11 +151,94 @@ fn sealed_damage_gives_an_error_or_a_frame() {
     }
 }
 
+/// Where the blocks of the last frame are looked for follows from motion and spheres: any of both,
+/// in every P frame, leaves all pixels inside the image.
+#[test]
+fn absurd_motions_and_spheres_stay_inside_the_image() {
+    let payloads = chain(false, true);
+    let mut chance = Chance(77);
+    let extremes = [-32_768, -32_767, -1, 0, 1, 32_767];
+    let mut decoded = 0;
+    for round in 0..1000 {
+        let mut decoder = decoder_before(&payloads, 1);
+        for n in 1..3 {
+            let (whole, header) = &payloads[n];
+            let body = &whole[..whole.len() - 4];
+            let (mut read, _) = Header::read(body).unwrap();
+            let mut step = || match chance.below(3) {
+                0 => extremes[chance.below(6) as usize],
+                _ => chance.below(65_536) as i32 - 32_768,
+            };
+            read.motion = Motion {
+                turn: [step(), step(), step()],
+                shift: [step(), step(), step()],
+            };
+            let mut sections = body[*header..].to_vec();
+            if round % 2 == 1 {
+                // the section of spheres: any inverse depth, slope and bulge, at any exponent
+                let start = read.sections[0];
+                for _ in 0..3 {
+                    let at = start + chance.below(read.sections[1].max(1) as u64) as usize;
+                    sections[at] = chance.next() as u8;
+                }
+            }
+            let mut bytes = Vec::new();
+            read.write(&mut bytes);
+            bytes.extend_from_slice(&sections);
+            match decoder.decode(&sealed(&bytes)) {
+                Ok(frame) => {
+                    sound(frame);
+                    decoded += 1;
+                }
+                Err(_) => break,
+            }
+        }
+    }
+    assert!(decoded > 300, "{decoded} frames decoded");
+}
+
+/// Sections of chance bytes: nothing in them means what an encoder would say.
+#[test]
+fn random_sections_give_an_error_or_a_frame() {
+    let payloads = chain(false, true);
+    let mut chance = Chance(123);
+    let mut decoded = 0;
+    for round in 0..1200 {
+        let n = round % 3;
+        let (whole, header) = &payloads[n];
+        let (mut read, _) = Header::read(&whole[..whole.len() - 4]).unwrap();
+        let mut bodies = whole[*header..whole.len() - 4].to_vec();
+        let mut sections = Vec::new();
+        for (k, length) in read.sections.iter_mut().enumerate() {
+            let mut section: Vec<u8> = bodies.drain(..*length).collect();
+            // one section or all of them
+            if round % 5 == k || round % 5 == 4 {
+                // few zero bits keep a section from running past its end early
+                let ones = [0, 0xF0, 0xFE][round % 7 % 3];
+                let length = chance.below(600);
+                section = (0..length).map(|_| chance.next() as u8 | ones).collect();
+            }
+            *length = section.len();
+            sections.extend(section);
+        }
+        let mut bytes = Vec::new();
+        read.write(&mut bytes);
+        bytes.extend(sections);
+        let mut decoder = decoder_before(&payloads, n);
+        if let Ok(frame) = decoder.decode(&sealed(&bytes)) {
+            sound(frame);
+            decoded += 1;
+        }
+        let _ = decoder.decode(&payloads[2].0).map(sound);
+    }
+    assert!(decoded > 100, "{decoded} frames decoded");
+}
+
 #[test]
 fn sealed_damage_of_the_header_is_survived() {
     let payloads = payloads(false);
     let mut chance = Chance(5);
-    for round in 0..2000 {
+    for _ in 0..2000 {
         let n = chance.below(2) as usize;
         let (whole, header) = &payloads[n];
         let mut body = whole[..whole.len() - 4].to_vec();
@@ -147,7 +254,7 @@ fn sealed_damage_of_the_header_is_survived() {
         }
         let mut decoder = decoder_before(&payloads, n);
         if let Ok(frame) = decoder.decode(&sealed(&body)) {
-            assert_eq!(frame.depth_m.len(), frame.camera.pixels(), "round {round}");
+            sound(frame);
         }
     }
 }

@@ -10,7 +10,7 @@ mod frames;
 
 use frames::{Chance, PICTURES, Picture, camera, check, draw, options};
 use glam::Vec3;
-use saint_live::codec::{CodecError, Decoder, EncodedFrame, Encoder};
+use saint_live::codec::{CodecError, CodecOptions, Decoder, EncodedFrame, Encoder, Tolerance};
 use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, Modeler};
@@ -28,12 +28,16 @@ fn contacts() -> [ContactDistance; 4] {
 
 /// Five frames: a key frame and four that refer to each other.
 fn chain(size: (u32, u32), picture: Picture, contact: ContactDistance, lossless: bool, seed: u64) {
+    coded(size, picture, options(contact, lossless, 30), seed);
+}
+
+fn coded(size: (u32, u32), picture: Picture, with: CodecOptions, seed: u64) {
     let camera = camera(size.0, size.1);
+    let Tolerance { contact, lossless } = with.tolerance;
     let fit = FitOptions {
-        contact_distance: contact,
+        contact_distance: with.contact,
         ..FitOptions::default()
     };
-    let with = options(contact, lossless, 30);
     let mut modeler = Modeler::new(&camera, &fit);
     let mut encoder = Encoder::new(&camera, with).unwrap();
     let mut decoder = Decoder::new();
@@ -87,6 +91,67 @@ fn random_small_frames_keep_mask_and_bound() {
         let contact = contacts()[chance.below(4) as usize];
         chain(size, picture, contact, chance.below(4) == 0, seed);
     }
+}
+
+/// A bound wider or tighter than what the spheres are fitted to is kept as well.
+#[test]
+fn a_bound_other_than_the_contact_distance_is_kept() {
+    let mut chance = Chance(17);
+    for seed in 0..120 {
+        let size = (2 + chance.below(40) as u32, 2 + chance.below(30) as u32);
+        let picture = PICTURES[chance.below(8) as usize];
+        let contact = contacts()[chance.below(4) as usize];
+        let mut with = CodecOptions::fitted(contact, 30);
+        if chance.below(2) == 0 {
+            with.tolerance.contact = contacts()[chance.below(4) as usize];
+        }
+        coded(size, picture, with, seed);
+    }
+}
+
+#[test]
+fn the_default_bound_is_two_and_a_half_contact_distances() {
+    let contact = ContactDistance::default();
+    let with = CodecOptions::fitted(contact, 30);
+    assert!(!with.tolerance.lossless);
+    for z in [0.3, 1.0, 2.0, 5.0, 9.0] {
+        let (bound, distance) = (with.tolerance.contact.at(z), contact.at(z));
+        assert!((bound - 2.5 * distance).abs() < 1e-12, "{bound} at {z} m");
+    }
+}
+
+/// The same frames give the same bytes, and so does an encoder that went through others before.
+#[test]
+fn encoding_is_deterministic() {
+    let camera = camera(45, 27);
+    let with = CodecOptions::fitted(ContactDistance::default(), 30);
+    let run = |encoder: &mut Encoder| {
+        let mut modeler = Modeler::new(&camera, &FitOptions::default());
+        let mut saint = SaintFrame::default();
+        encoder.request_key();
+        (0..4)
+            .map(|number| {
+                let frame = draw(&camera, Picture::BallsAndHoles, number, 12);
+                modeler.model(&frame, &mut saint, &|| false);
+                let mut encoded = EncodedFrame::default();
+                encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
+                encoded.payload
+            })
+            .collect::<Vec<_>>()
+    };
+    let mut encoder = Encoder::new(&camera, with).unwrap();
+    let first = run(&mut encoder);
+    assert_eq!(first, run(&mut Encoder::new(&camera, with).unwrap()));
+    // noise leaves learnt models, numbers and buffers behind; a key frame forgets all of them
+    let mut modeler = Modeler::new(&camera, &FitOptions::default());
+    let mut saint = SaintFrame::default();
+    for number in 0..3 {
+        let frame = draw(&camera, Picture::Noise, number, 4);
+        modeler.model(&frame, &mut saint, &|| false);
+        let mut encoded = EncodedFrame::default();
+        encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
+    }
+    assert_eq!(first, run(&mut encoder));
 }
 
 /// The bound does not rest on the fit: any labels and any spheres give the frame back.

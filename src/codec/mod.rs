@@ -30,6 +30,8 @@ pub mod payload;
 pub mod range_coder;
 pub mod rate;
 pub mod residual;
+#[cfg(test)]
+mod section_tests;
 pub mod sphere_table;
 mod state;
 mod surface;
