@@ -154,13 +154,13 @@ fn run(scene: &str, piece_ns: Piece<'_>, late: Late) -> (Vec<FrameRecord>, Repor
     (sink.0, report)
 }
 
-/// A frame has some three pieces: together a third of the period.
-const CALM_NS: i64 = PERIOD_NS / 9;
-/// Together four thirds of it.
-const HARD_NS: i64 = 4 * CALM_NS;
-/// Age that a frame may reach: the budget, the piece it was in when that was over, the last one,
-/// and the wait for the frame before.
-const BOUND_NS: i64 = PERIOD_NS + 2 * HARD_NS + PERIOD_NS / 9;
+/// A calm frame has some ten pieces, the first one of a scene some twenty.
+const CALM_NS: i64 = PERIOD_NS / 50;
+/// Four of them are more than the period.
+const HARD_NS: i64 = PERIOD_NS / 3;
+/// Age that a frame may reach: the budget, the piece it was in when that was over, the wait for the
+/// frame before.
+const BOUND_NS: i64 = PERIOD_NS + HARD_NS + PERIOD_NS / 9;
 
 fn oldest(records: &[FrameRecord]) -> i64 {
     records.iter().map(age_ns).max().unwrap()

@@ -100,6 +100,14 @@ impl Default for BlockContacts {
 }
 
 impl BlockContacts {
+    /// The free entry of the palette that a sphere for the untouched pixels would take; none where
+    /// it would save nothing.
+    #[must_use]
+    pub fn wants(&self) -> Option<usize> {
+        let free = self.palette.iter().position(|&id| id == NO_SPHERE)?;
+        (MISS_BITS * self.missing.count_ones() > SPLIT_BITS[free]).then_some(free)
+    }
+
     /// Takes the spheres for which `gone` is true off the block: what was theirs is untouched.
     pub fn release(&mut self, gone: impl Fn(u16) -> bool) {
         let before = *self;
@@ -151,10 +159,13 @@ impl Block<'_> {
         }
     }
 
-    /// True where one sphere explains (nearly) all.
+    /// True where one sphere explains (nearly) all: what it leaves is too little for another one.
     #[inline(always)]
     fn settles(&self, touch: Touch) -> bool {
-        (self.valid & !touch.along_ray).count_ones() <= SETTLED && self.valid.count_ones() > 8
+        let beyond = self.valid & !touch.along_ray;
+        let apart = self.valid & !touch.touching;
+        let enough = saving(beyond) <= SPLIT_BITS[1] && apart.count_ones() <= SETTLED;
+        (beyond.count_ones() <= SETTLED || enough) && self.valid.count_ones() > 8
     }
 
     /// All that touches `id` to `id`.
@@ -263,9 +274,12 @@ fn cover(valid: u64, ids: &[u16], touch: &[Touch; CANDIDATES]) -> BlockContacts 
             let mut best = (0u32, 0usize);
             for (k, t) in touch.iter().enumerate().take(ids.len()) {
                 let pixels = if along_ray { t.along_ray } else { t.touching };
-                let new = pixels & !covered;
-                let gain =
-                    (MISS_BITS * new.count_ones()).saturating_sub(RAGGED_BITS * edges(new) / 2);
+                // what touches nothing has a border either way
+                let gain = if along_ray {
+                    saving(pixels & !covered)
+                } else {
+                    MISS_BITS * (pixels & !covered).count_ones()
+                };
                 if gain > best.0 {
                     best = (gain, k);
                 }
@@ -324,6 +338,12 @@ fn edges(set: u64) -> u32 {
     ((set ^ (set >> 1)) & RIGHT).count_ones() + ((set ^ (set >> 8)) & (u64::MAX >> 8)).count_ones()
 }
 
+/// Bits saved where a sphere explains these pixels, less what their border costs.
+#[inline(always)]
+fn saving(pixels: u64) -> u32 {
+    (MISS_BITS * pixels.count_ones()).saturating_sub(RAGGED_BITS * edges(pixels) / 2)
+}
+
 /// What the labels of a divided block cost, bits.
 #[inline(always)]
 fn price(contacts: &BlockContacts) -> u32 {
@@ -377,17 +397,27 @@ pub fn adopt(
     candidates: &Candidates,
     pixels: impl Fn(u16) -> u64,
 ) -> bool {
+    let mut touching = [0; CANDIDATES];
+    for (touching, &id) in touching.iter_mut().zip(candidates.ids()) {
+        *touching = pixels(id) & contacts.missing;
+    }
+    let touching = &mut touching[..candidates.len];
     let mut adopted = false;
-    while let Some(free) = contacts.palette.iter().position(|&id| id == NO_SPHERE) {
-        let gain = |&id: &u16| (pixels(id) & contacts.missing).count_ones();
+    while let Some(free) = contacts.wants() {
         // the first of those with most pixels
-        let best = candidates.ids().iter().rev().max_by_key(|&id| gain(id));
-        let Some(&id) = best.filter(|&id| gain(id) * MISS_BITS > SPLIT_BITS[free]) else {
+        let best = (0..touching.len())
+            .rev()
+            .max_by_key(|&k| touching[k].count_ones());
+        let Some(k) = best.filter(|&k| MISS_BITS * touching[k].count_ones() > SPLIT_BITS[free])
+        else {
             break;
         };
-        contacts.palette[free] = id;
-        contacts.pixels[free] = pixels(id) & contacts.missing;
-        contacts.missing &= !contacts.pixels[free];
+        contacts.palette[free] = candidates.ids[k];
+        contacts.pixels[free] = touching[k];
+        contacts.missing &= !touching[k];
+        for pixels in touching.iter_mut() {
+            *pixels &= contacts.missing;
+        }
         adopted = true;
     }
     adopted

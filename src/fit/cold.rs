@@ -107,6 +107,11 @@ impl Workspace {
             ..Self::default()
         }
     }
+
+    /// Forgets what earlier frames left undone.
+    pub(super) fn restart(&mut self) {
+        (self.resume, self.most) = (0, u32::MAX);
+    }
 }
 
 const NONE: u32 = u32::MAX;
@@ -126,6 +131,7 @@ pub(super) fn fit(
 ) -> bool {
     begin(blocks.len(), graph, work);
     let (looked, all) = gather(problem, blocks, graph, work, time_is_up, report);
+    report.degraded |= !all;
     if work.atoms.is_empty() {
         return false;
     }
@@ -138,7 +144,7 @@ pub(super) fn fit(
     } else {
         (looked / 2).max(STRIDE)
     };
-    report.degraded |= !(united && all);
+    report.degraded |= !united;
     settle(problem, blocks, slots, graph, work, united, report);
     mark(problem.rays, blocks, work, pending);
     true

@@ -134,9 +134,6 @@ const RAY_SHARE: f64 = 0.85;
 pub(super) const SUM_TO_REACH: f32 =
     (SURFACE_SHARE * SURFACE_SHARE / (RAY_SHARE * RAY_SHARE) / 0.7) as f32;
 
-/// Fewest untouched pixels that are offered to the spheres around.
-const ADOPTED_PIXELS: u32 = 3;
-
 /// Blocks offered to their neighbours' spheres between two looks at the clock.
 const OFFERS: u32 = 128;
 
@@ -208,6 +205,7 @@ impl Modeler {
         self.blocks.before.fill(EMPTY);
         self.slots.clear();
         self.frame.spheres.clear();
+        self.cold.restart();
         self.frames = 0;
     }
 
@@ -339,7 +337,7 @@ impl Modeler {
         let mut offered = 0u32;
         for k in 0..self.blocks.len() {
             let contacts = &self.blocks.contacts[k];
-            if contacts.missing.count_ones() < ADOPTED_PIXELS {
+            if contacts.wants().is_none() {
                 continue;
             }
             offered += 1;
