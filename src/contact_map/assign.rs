@@ -17,14 +17,8 @@ pub const CANDIDATES: usize = 10;
 /// Bits a pixel costs that no sphere of its block explains.
 const MISS_BITS: u32 = 9;
 /// Half bits that a pair of neighbours costs of which only one is explained: what noise scatters is
-/// not worth a sphere. (9 and not 0 saves 7 % of the bits of D435 and D455 sequences at less error.)
-const RAGGED_BITS: u32 = 9;
-/// Bits of a border between two pixels of one block.
-const BORDER_BITS: u32 = 1;
-/// Bits of one more sphere's name in a block.
-const NAME_BITS: u32 = 12;
-/// Bits of a pixel beyond reach along the ray.
-const ROUGH_BITS: u32 = 4;
+/// not worth a sphere. (0 costs 7 % more bits on D435 and D455 sequences, 9 one more in a hundred.)
+const RAGGED_BITS: u32 = 4;
 /// A block with at most so many pixels beyond reach is not divided further.
 const SETTLED: u32 = 2;
 /// Where all but so many pixels are within reach of the block's own spheres none around is tried.
@@ -83,8 +77,6 @@ pub struct BlockContacts {
     pub missing: u64,
     /// Measured pixels that are beyond reach along the ray: these and more.
     pub rough: u64,
-    /// Bits its labels and what is beyond reach cost, about.
-    pub price: u32,
 }
 
 impl Default for BlockContacts {
@@ -94,7 +86,6 @@ impl Default for BlockContacts {
             pixels: [0; PALETTE],
             missing: 0,
             rough: 0,
-            price: 0,
         }
     }
 }
@@ -327,7 +318,6 @@ fn cover(valid: u64, ids: &[u16], touch: &[Touch; CANDIDATES]) -> BlockContacts 
             out.palette[c] = NO_SPHERE;
         }
     }
-    out.price = price(&out);
     out
 }
 
@@ -342,23 +332,6 @@ fn edges(set: u64) -> u32 {
 #[inline(always)]
 fn saving(pixels: u64) -> u32 {
     (MISS_BITS * pixels.count_ones()).saturating_sub(RAGGED_BITS * edges(pixels) / 2)
-}
-
-/// What the labels of a divided block cost, bits.
-#[inline(always)]
-fn price(contacts: &BlockContacts) -> u32 {
-    let mut ends = edges(contacts.missing);
-    let mut spheres = 0u32;
-    for (&id, &pixels) in contacts.palette.iter().zip(&contacts.pixels) {
-        if id != NO_SPHERE {
-            ends += edges(pixels);
-            spheres += 1;
-        }
-    }
-    // every border is counted from both sides
-    BORDER_BITS * ends / 2
-        + NAME_BITS * spheres.saturating_sub(1)
-        + ROUGH_BITS * contacts.rough.count_ones()
 }
 
 /// Gives the pixels of `left` to the first `n` spheres, of which each reaches `reached`: in the

@@ -22,12 +22,10 @@ const FALLBACK_BITS: f64 = 5.0;
 /// Fewest points of an atom.
 const ATOM_POINTS: u32 = 8;
 /// Fewest points for which a new sphere is worth its bits.
-const SPHERE_POINTS: f64 = 10.0;
+const SPHERE_POINTS: f64 = 25.0;
 /// The same where spheres of the last frame share most blocks out: what is smaller comes again in
 /// the next round if it is still left over.
 const FIRST_POINTS: f64 = 40.0;
-/// A block whose labels cost more than this may be better off with a surface of its own.
-const DEAR_BITS: u32 = 50;
 /// The same where time was up before all were united: coding many small ones takes longer than it
 /// saves.
 const HASTY_POINTS: f64 = 100.0;
@@ -195,10 +193,7 @@ fn gather(
 /// Pixels of block `k` that are to be fitted.
 fn untouched(problem: &Problem<'_>, blocks: &Blocks, k: usize) -> u64 {
     let contacts = &blocks.contacts[k];
-    if problem.turn.is_some() && contacts.price > DEAR_BITS && blocks.moments[k].count > 0.0 {
-        // divided so finely that a surface of its own may be cheaper
-        blocks.valid[k]
-    } else if contacts.rough.count_ones() >= ROUGH_POINTS {
+    if contacts.rough.count_ones() >= ROUGH_POINTS {
         // a surface that is off along the ray costs residuals: where many, it is fitted anew
         contacts.rough
     } else {
