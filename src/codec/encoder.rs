@@ -346,21 +346,18 @@ impl Encoder {
             }
             (map.palettes[k], map.sizes[k]) = (palette, size);
         }
+        let (thrift, blocks) = (self.thrift, &self.blocks);
+        let cost = |slot: u16| {
+            let shared = blocks.get(usize::from(slot)).map_or(1, |&n| n.max(1));
+            thrift.entry + thrift.sphere / shared
+        };
         for (k, &measured) in self.measured.iter().enumerate() {
             let (palette, size) = (&mut map.palettes[k], &mut map.sizes[k]);
             if *size > 1 {
                 let at = (k, measured);
                 let left = usize::from(*size);
-                let left = palette_choice::prune(
-                    saint,
-                    &self.rays,
-                    &errors,
-                    at,
-                    &self.thrift,
-                    &self.blocks,
-                    palette,
-                    left,
-                );
+                let left =
+                    palette_choice::prune(saint, &self.rays, &errors, at, cost, palette, left);
                 *size = left as u8;
             }
         }

@@ -265,7 +265,7 @@ proptest! {
             let mut palette = all;
             let left = match size {
                 0 | 1 => size,
-                _ => palette_choice::prune(&saint, &rays, &errors, (k, measured), &[1; 6], &mut palette, size),
+                _ => palette_choice::prune(&saint, &rays, &errors, (k, measured), |_| 48 * 16, &mut palette, size),
             };
             prop_assert!(left <= size && (left > 0 || size == 0), "{size} entries, {left} left");
             prop_assert_eq!(&palette[left..], &EMPTY[left..]);

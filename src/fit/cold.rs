@@ -165,7 +165,7 @@ fn gather(
     let mut looked = 0u32;
     for whole_blocks in [true, false] {
         for k in (begin..count).chain(0..begin) {
-            let missing = untouched(problem, blocks, k);
+            let missing = untouched(blocks, k);
             let whole = missing == blocks.valid[k] && blocks.moments[k].count > 0.0;
             let done = work.of_block[k][0] != NONE;
             if missing.count_ones() < ATOM_POINTS || done || (whole_blocks && !whole) {
@@ -191,7 +191,7 @@ fn gather(
 }
 
 /// Pixels of block `k` that are to be fitted.
-fn untouched(problem: &Problem<'_>, blocks: &Blocks, k: usize) -> u64 {
+fn untouched(blocks: &Blocks, k: usize) -> u64 {
     let contacts = &blocks.contacts[k];
     if contacts.rough.count_ones() >= ROUGH_POINTS {
         // a surface that is off along the ray costs residuals: where many, it is fitted anew
