@@ -164,7 +164,7 @@ fn absurd_motions_and_spheres_stay_inside_the_image() {
         for n in 1..3 {
             let (whole, header) = &payloads[n];
             let body = &whole[..whole.len() - 4];
-            let (mut read, _) = Header::read(body).unwrap();
+            let (mut read, ..) = Header::read(body, 0).unwrap();
             let mut step = || match chance.below(3) {
                 0 => extremes[chance.below(6) as usize],
                 _ => chance.below(65_536) as i32 - 32_768,
@@ -206,7 +206,7 @@ fn random_sections_give_an_error_or_a_frame() {
     for round in 0..1200 {
         let n = round % 3;
         let (whole, header) = &payloads[n];
-        let (mut read, _) = Header::read(&whole[..whole.len() - 4]).unwrap();
+        let (mut read, ..) = Header::read(whole, 0).unwrap();
         let mut bodies = whole[*header..whole.len() - 4].to_vec();
         let mut sections = Vec::new();
         for (k, length) in read.sections.iter_mut().enumerate() {

@@ -41,7 +41,7 @@ pub fn sensor(data: &[u8]) {
         let (payload, behind) = behind.split_at(length.min(behind.len()));
         rest = behind;
         let body = &payload[..payload.len().saturating_sub(4)];
-        let pixels = Header::read(body)
+        let pixels = Header::read(body, 0)
             .ok()
             .and_then(|(header, _)| header.stream)
             .map_or(0, |s| u64::from(s.width) * u64::from(s.height));
