@@ -43,7 +43,7 @@ pub fn sensor(data: &[u8]) {
         let body = &payload[..payload.len().saturating_sub(4)];
         let pixels = Header::read(body, 0)
             .ok()
-            .and_then(|(header, _)| header.stream)
+            .and_then(|(header, ..)| header.stream)
             .map_or(0, |s| u64::from(s.width) * u64::from(s.height));
         if pixels > MOST_PIXELS {
             return;
