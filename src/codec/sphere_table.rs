@@ -1,6 +1,6 @@
 //! Section *spheres*: the surfaces, quantised just finely enough.
 //!
-//! A sphere is stated about the middle of the blocks it touches (known from the label section):
+//! A sphere is stated about the middle of the blocks it touches (known from the section of blocks):
 //! inverse depth there, its change across half the extent in x and y, and the curvature's bulge,
 //! all in steps of one power of two chosen per sphere. A sphere that the reference frame has too
 //! is kept (one bit), or stated as the difference to what it was.
