@@ -17,6 +17,9 @@ pub(super) const MISS_COST: u16 = 12 * 16;
 const DIVISION_COST: u32 = 6 * 16;
 const DIVISION_PIXEL_COST: u32 = 4;
 
+/// Added to a small number, its integer stands in the low bits.
+const WHOLE: f32 = 8_388_608.0;
+
 /// What it costs to give a pixel to a sphere, beyond the label's bits.
 #[derive(Clone, Copy)]
 pub(super) struct Errors<'a> {
@@ -40,26 +43,30 @@ impl Errors<'_> {
         let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
             return;
         };
-        for (j, (out, depths)) in out
-            .chunks_exact_mut(BLOCK)
-            .zip(depths.chunks_exact(BLOCK))
-            .enumerate()
-        {
+        for j in 0..BLOCK {
             let v = rays.v[y0 + j];
-            let raw = &self.plane[(y0 + j) * rays.stride() + x0..][..BLOCK];
+            let raw = self.plane[(y0 + j) * rays.stride() + x0..].first_chunk::<BLOCK>();
+            let depths = depths[j * BLOCK..].first_chunk::<BLOCK>();
+            let out = out[j * BLOCK..].first_chunk_mut::<BLOCK>();
+            let (Some(raw), Some(depths), Some(out)) = (raw, depths, out) else {
+                return;
+            };
+            let mut row = [0u16; BLOCK];
             for i in 0..BLOCK {
                 let q = u[i] * u[i] + v * v + 1.0;
-                let d = depths[i];
-                let raw = f32::from(raw[i]);
+                let (d, raw) = (depths[i], f32::from(raw[i]));
                 // the decoder rebuilds other depths from integers
                 let real = (d > 0.0) & (d < BEYOND);
                 let contact = self.contact.at(raw);
                 let share = (raw - d) * (raw - d) * q / (contact * contact);
-                let price = (share * ERROR_COST).min(f32::from(MISS_COST - 1)) as u16;
+                let price = (share * ERROR_COST).min(f32::from(MISS_COST - 1));
                 let hit = self.reach.touches(raw, d, q) & real;
-                let price = if hit { price } else { MISS_COST };
-                out[i] = if raw > 0.0 { price } else { 0 };
+                let price = if hit { price } else { f32::from(MISS_COST) };
+                let price = if raw > 0.0 { price } else { 0.0 };
+                // an integer by its place behind the point: a cast would take eight times as long
+                row[i] = (price + WHOLE).to_bits() as u16;
             }
+            *out = row;
         }
     }
 }
