@@ -58,8 +58,22 @@ pub(super) fn plan(
             .fps
             .retain(|rate| rate.fract() == 0.0 && *rate >= 1.0);
     }
-    let (size, fps) =
-        plan_size_and_rate(size, fps, &whole).map_err(|m| (m.what, REMEDY.to_string()))?;
+    let (size, usual) =
+        plan_size_and_rate(size, None, &whole).map_err(|m| (m.what, REMEDY.to_string()))?;
+    // The rate asked for is depth's. Colour has rates of its own: the nearest one, of two the higher.
+    let listed = whole.sizes.iter().find(|s| (s.width, s.height) == size);
+    let rates = listed.map_or(&[][..], |s| &s.fps);
+    let fps = match fps.map(f64::from) {
+        Some(asked) => {
+            let off = |rate: &f64| ((rate - asked).abs(), -rate);
+            let nearer = |a: &&f64, b: &&f64| {
+                let (a, b) = (off(a), off(b));
+                a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
+            };
+            Some(rates.iter().min_by(nearer).copied().unwrap_or(asked))
+        }
+        None => usual,
+    };
     Ok(ColorPlan {
         format,
         size,
@@ -156,7 +170,9 @@ mod tests {
             plan(&raw, None, Some(15)).unwrap().format,
             FrameFormat::YUYV
         );
-        assert!(plan(&raw, None, Some(60)).unwrap_err().0.contains("60"));
+        for (asked, nearest) in [(60, 30), (6, 15), (22, 15), (23, 30)] {
+            assert_eq!(plan(&raw, None, Some(asked)).unwrap().fps, nearest);
+        }
         assert!(
             plan(&raw, Some((1, 1)), None)
                 .unwrap_err()
