@@ -199,7 +199,7 @@ impl Agglomeration {
     }
 
     /// Unites touching patches, best saving first, while there is one and `stop` says false: it is
-    /// asked once in [`STRIDE`] pairs. `allowed` restricts which pairs may be united (patches of one
+    /// asked once in so many pairs. `allowed` restricts which pairs may be united (patches of one
     /// cell). False where it was stopped.
     pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) -> bool {
         self.heap.clear();
