@@ -392,7 +392,10 @@ fn rebuild_odd(
     let (unit, lossless) = (stream.depth_unit_m, stream.tolerance.lossless);
     let v = rays.v[y];
     let start = now.mask.pixels.index(0, y);
-    for (x0, depth_m) in (0..rays.width).step_by(BLOCK).zip(depth_m.chunks_mut(BLOCK)) {
+    for (x0, depth_m) in (0..rays.width)
+        .step_by(BLOCK)
+        .zip(depth_m.chunks_mut(BLOCK))
+    {
         let smooth = now.kinds[y / BLOCK * rays.block_columns + x0 / BLOCK] == Kind::Smooth;
         for (x, z) in (x0..).zip(depth_m) {
             let i = start + x;

@@ -56,14 +56,17 @@ impl<T: Copy> Past<'_, T> {
 
 impl Past<'_, u8> {
     /// Fill of the quad that begins at cell `first`.
+    #[inline(always)]
     fn quad(&self, k: usize, first: usize, stride: usize) -> Fill {
         let first = self.at(k, first);
-        let sum: u8 = (0..QUAD)
-            .flat_map(|j| &self.cells[first + j * stride..][..QUAD])
-            .sum();
-        match usize::from(sum) {
+        let row = |j: usize| match self.cells[first + j * stride..].first_chunk::<QUAD>() {
+            Some(row) => u32::from_le_bytes(*row),
+            None => 0,
+        };
+        // four sums of four cells side by side
+        match row(0) + row(1) + row(2) + row(3) {
             0 => Fill::Empty,
-            n if n == QUAD * QUAD => Fill::Full,
+            0x0404_0404 => Fill::Full,
             _ => Fill::Mixed,
         }
     }
@@ -208,6 +211,7 @@ pub fn extent(rays: &Rays, k: usize) -> (usize, usize, usize, usize) {
     )
 }
 
+#[inline(always)]
 fn code_fill<C: Coder>(coder: &mut C, full: &mut Bit, empty: &mut Bit, fill: Fill) -> Fill {
     if coder.bit(full, fill == Fill::Full) {
         Fill::Full
@@ -344,7 +348,11 @@ pub fn code_pixels<C: Coder>(
                 }
                 let x0 = (k - row) * BLOCK + right * QUAD;
                 let start = mask.pixels.index(x0, y);
-                let mut around = Around::of(&mask.pixels, before.map(|b| (b.cells, b.at(k, start))), start);
+                let mut around = Around::of(
+                    &mask.pixels,
+                    before.map(|b| (b.cells, b.at(k, start))),
+                    start,
+                );
                 for j in 0..QUAD.min(rays.width - x0) {
                     let ([near, wide, past], set) = around.contexts(j);
                     let read = mixer::code(
@@ -398,7 +406,11 @@ impl Around {
         let [top, above, row, below] = [self.top, self.above, self.row, self.below].map(|w| w >> j);
         let near = row >> 1 & 3 | (above >> 2 & 7) << 2 | (top >> 3 & 1) << 5;
         let ahead = row >> 4 & 1 | (below >> 3 & 1) << 1;
-        let wide = row & 1 | (above >> 1 & 1) << 1 | (above >> 5 & 1) << 2 | (top >> 2 & 1) << 3 | (top >> 4 & 1) << 4;
+        let wide = row & 1
+            | (above >> 1 & 1) << 1
+            | (above >> 5 & 1) << 2
+            | (top >> 2 & 1) << 3
+            | (top >> 4 & 1) << 4;
         let (few, all) = match self.past {
             None => (8, 512),
             Some(past) => {
