@@ -145,14 +145,41 @@ impl State {
         )
     }
 
-    /// Section *pixels*: mask and labels. Predicted depths come with them.
-    pub fn code_pixels<C: Coder, W: Choice>(
+    /// Section *pixels*, first half: the mask. `wanted`: measured pixels of each block, of which some
+    /// may go another way where that saves `patience` (see [`mask::code_pixels`]; both not used to
+    /// decode).
+    pub fn code_mask<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        rays: &Rays,
+        (key, motion): (bool, &Motion),
+        (wanted, patience): (&[u64], u32),
+    ) {
+        let State {
+            models,
+            now,
+            before,
+            shifts,
+            ..
+        } = self;
+        let stride = now.mask.pixels.stride();
+        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
+        let past = (!key).then_some(Past {
+            cells: before.mask.pixels.cells(),
+            shifts,
+        });
+        let models = &mut models.mask;
+        mask::code_quads(coder, models, rays, &mut now.mask, past, wanted);
+        mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, patience);
+    }
+
+    /// Section *pixels*, second half: labels. Predicted depths come with them.
+    pub fn code_labels<C: Coder, W: Choice>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
         reach: &Reach,
-        (key, motion): (bool, &Motion),
-        wanted: &[u64],
+        key: bool,
         choice: &mut W,
     ) {
         let State {
@@ -163,18 +190,10 @@ impl State {
             shifts,
             ..
         } = self;
-        let stride = now.mask.pixels.stride();
-        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
-        let masks = (!key).then_some(Past {
-            cells: before.mask.pixels.cells(),
-            shifts,
-        });
-        let labels = (!key).then_some(Past {
+        let past = (!key).then_some(Past {
             cells: before.map.pixels.cells(),
             shifts,
         });
-        mask::code_quads(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
-        mask::code_pixels(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
         label_map::code(
             coder,
             &mut models.labels,
@@ -182,7 +201,7 @@ impl State {
             reach,
             &now.mask,
             &mut now.map,
-            labels,
+            past,
             &Surfaces(&now.entries),
             predicted,
             choice,
