@@ -32,6 +32,7 @@ pub mod rate;
 pub mod residual;
 #[cfg(test)]
 mod section_tests;
+pub mod spent;
 pub mod sphere_table;
 mod state;
 mod surface;
@@ -41,6 +42,7 @@ pub use effort::Effort;
 pub use encoder::{CodecOptions, EncodeReport, Encoder};
 pub use header::Tolerance;
 pub use payload::{Domain, Payload, PayloadDecoder};
+pub use spent::Spent;
 
 /// One encoded frame, as it is stored or sent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

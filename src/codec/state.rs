@@ -55,6 +55,8 @@ pub(super) struct State {
     /// Rebuilt depth integers; 0 where nothing was measured.
     pub rebuilt: Plane<u16>,
     pub traces: Plane<Trace>,
+    /// What the mask took of the sections of blocks and of pixels, in 1/16 bit (encoding only).
+    pub mask_bits: [u64; 2],
 }
 
 impl State {
@@ -128,11 +130,14 @@ impl State {
             now,
             before,
             new,
+            mask_bits,
             ..
         } = self;
         let past = (!key).then_some(&*before);
         let masks = past.map(|b| &b.mask);
+        let start = coder.written();
         mask::code_fills(coder, &mut models.fills, rays, &mut now.mask, masks, wanted);
+        *mask_bits = [coder.written() - start, 0];
         palettes::code(
             coder,
             &mut models.palettes,
@@ -161,6 +166,7 @@ impl State {
             before,
             predicted,
             shifts,
+            mask_bits,
             ..
         } = self;
         let stride = now.mask.pixels.stride();
@@ -173,8 +179,10 @@ impl State {
             cells: before.map.pixels.cells(),
             shifts,
         });
+        let start = coder.written();
         mask::code_quads(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
         mask::code_pixels(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
+        mask_bits[1] = coder.written() - start;
         label_map::code(
             coder,
             &mut models.labels,
