@@ -9,6 +9,7 @@
 
 pub mod merged;
 pub mod polar;
+mod polar_claims;
 
 use crate::frame::FrameTime;
 
