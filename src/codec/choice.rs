@@ -4,6 +4,7 @@
 //! boundary between two spheres that both explain the noise runs where it costs least.
 
 use super::label_map::Choice;
+use super::mask::QUAD;
 use super::surface::{BEYOND, Depths, packed};
 use crate::contact_map::assign::PALETTE;
 use crate::contact_map::contact::Reach;
@@ -69,6 +70,37 @@ impl Errors<'_> {
             *out = row;
         }
     }
+
+    /// The pixels of block `k` that [`prices`](Self::prices) would price as a miss; of those that
+    /// hold no measurement any.
+    #[inline(always)]
+    fn missed(&self, rays: &Rays, k: usize, depths: &Depths) -> u64 {
+        let (x0, y0, ..) = super::mask::extent(rays, k);
+        let mut cells = [0u8; BLOCK * BLOCK];
+        let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
+            return u64::MAX;
+        };
+        let rows = cells
+            .chunks_exact_mut(BLOCK)
+            .zip(depths.chunks_exact(BLOCK));
+        for (y, (cells, depths)) in (y0..).zip(rows) {
+            let v = rays.v[y];
+            let raw = self.plane[y * rays.stride() + x0..].first_chunk::<BLOCK>();
+            let depths = depths.first_chunk::<BLOCK>();
+            let (Some(raw), Some(depths)) = (raw, depths) else {
+                return u64::MAX;
+            };
+            let mut row = [0u8; BLOCK];
+            for i in 0..BLOCK {
+                let q = u[i] * u[i] + v * v + 1.0;
+                let (d, raw) = (depths[i], f32::from(raw[i]));
+                let real = (d > 0.0) & (d < BEYOND);
+                row[i] = u8::from(!(self.reach.touches(raw, d, q) & real));
+            }
+            cells.copy_from_slice(&row);
+        }
+        packed(&cells)
+    }
 }
 
 /// Chooses labels for one frame and notes which pixels touch the sphere they got.
@@ -106,6 +138,11 @@ impl Choice for Cheapest<'_> {
     #[inline(always)]
     fn block(&mut self, k: usize, palette: &[u16], depths: &[Depths; PALETTE]) {
         self.hits[k] = 0;
+        if let ([_], [depths, ..]) = (palette, depths) {
+            // nothing to choose from: no price is asked for
+            self.missed[0] = self.errors.missed(self.rays, k, depths);
+            return;
+        }
         let lists = self.prices.iter_mut().zip(&mut self.missed);
         for ((prices, missed), depths) in lists.zip(&depths[..palette.len()]) {
             self.errors.prices(self.rays, k, depths, prices);
@@ -119,19 +156,22 @@ impl Choice for Cheapest<'_> {
 
     #[inline(always)]
     fn quad(&mut self, pixels: u64, costs: &[u32], division: u32) -> Option<usize> {
+        // nothing measured costs nothing, so all sixteen are summed; at most sixteen misses
         let mut sums = [0u32; PALETTE];
-        let mut each = 0;
-        let mut left = pixels;
-        while left != 0 {
-            let i = left.trailing_zeros() as usize;
-            left &= left - 1;
-            let mut least = u16::MAX;
-            for (sum, prices) in sums.iter_mut().zip(&self.prices[..costs.len()]) {
-                *sum += u32::from(prices[i]);
-                least = least.min(prices[i]);
+        let mut least = [u16::MAX; QUAD * QUAD];
+        let first = pixels.trailing_zeros() as usize / BLOCK / QUAD * QUAD * BLOCK
+            + pixels.trailing_zeros() as usize % BLOCK / QUAD * QUAD;
+        for (sum, prices) in sums.iter_mut().zip(&self.prices[..costs.len()]) {
+            let mut here = [0u16; QUAD * QUAD];
+            for (j, row) in here.chunks_exact_mut(QUAD).enumerate() {
+                row.copy_from_slice(&prices[first + j * BLOCK..][..QUAD]);
             }
-            each += u32::from(least);
+            for (least, &price) in least.iter_mut().zip(&here) {
+                *least = price.min(*least);
+            }
+            *sum = u32::from(here.iter().sum::<u16>());
         }
+        let each = u32::from(least.iter().sum::<u16>());
         let best = (0..costs.len()).min_by_key(|&e| costs[e] + sums[e])?;
         let divided = division + each + DIVISION_COST + pixels.count_ones() * DIVISION_PIXEL_COST;
         (costs[best] + sums[best] <= divided).then_some(best)

@@ -40,7 +40,10 @@ pub(super) fn shifts(
         let p = mover.back([u * z, v * z, z]);
         // the whole block stays inside; NaN stays where it is
         let shift = |by: f64, start: usize, size: usize| {
-            let by = (by + 0.5).floor() as isize;
+            // the largest integer not above it; a call without SSE 4.1
+            let by = by + 0.5;
+            let whole = by as isize;
+            let by = whole - isize::from(by < whole as f64);
             by.clamp(-(start as isize), (size - BLOCK - start) as isize)
         };
         let sx = shift((p[0] / p[2] - u) / du, x0, rays.block_columns * BLOCK);

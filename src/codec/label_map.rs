@@ -7,8 +7,8 @@
 
 use super::grid::Plane;
 use super::mask::{Mask, Past, QUAD, QUADS, extent, quad_pixels};
-use super::mixer::{self, CONTEXTS, Estimate, Weights};
-use super::range_coder::{Bit, Coder};
+use super::mixer::{CONTEXTS, Estimate, Mixture, Weights};
+use super::range_coder::{self, Bit, Coder};
 use super::surface::{self, Depths};
 use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
 use crate::contact_map::contact::Reach;
@@ -393,6 +393,8 @@ impl Block<'_> {
             sets[e] = e * 9 + beside;
         }
         let [a, b, c] = &mut models.pixel;
+        let weights = &mut models.weights;
+        let mut mixtures = [Mixture::default(); NODES];
         let mut want = 0;
         if C::WRITES {
             let mut costs = [0u32; PALETTE];
@@ -401,23 +403,23 @@ impl Block<'_> {
                 costs[e] = far;
                 if e + 1 < self.size {
                     let at = contexts[e];
-                    let p =
-                        mixer::chance([&a[at[0]], &b[at[1]], &c[at[2]]], &models.weights[sets[e]]);
-                    costs[e] += super::range_coder::cost(p, true);
-                    far += super::range_coder::cost(p, false);
+                    mixtures[e] = Mixture::of([&a[at[0]], &b[at[1]], &c[at[2]]], &weights[sets[e]]);
+                    costs[e] += range_coder::cost(mixtures[e].one(), true);
+                    far += range_coder::cost(mixtures[e].one(), false);
                 }
             }
             want = choice.pixel(bit as u32, &costs[..self.size]);
         }
         let mut entry = 0;
         while entry + 1 < self.size {
-            let at = contexts[entry];
-            if mixer::code(
-                coder,
-                [&mut a[at[0]], &mut b[at[1]], &mut c[at[2]]],
-                &mut models.weights[sets[entry]],
-                want == entry,
-            ) {
+            let (at, weights) = (contexts[entry], &mut weights[sets[entry]]);
+            let estimates = [&mut a[at[0]], &mut b[at[1]], &mut c[at[2]]];
+            // entries have models of their own: coding one leaves the others' mixtures as they are
+            if !C::WRITES {
+                let [a, b, c] = &estimates;
+                mixtures[entry] = Mixture::of([a, b, c], weights);
+            }
+            if mixtures[entry].code(coder, estimates, weights, want == entry) {
                 break;
             }
             entry += 1;

@@ -56,14 +56,17 @@ impl<T: Copy> Past<'_, T> {
 
 impl Past<'_, u8> {
     /// Fill of the quad that begins at cell `first`.
+    #[inline(always)]
     fn quad(&self, k: usize, first: usize, stride: usize) -> Fill {
         let first = self.at(k, first);
-        let sum: u8 = (0..QUAD)
-            .flat_map(|j| &self.cells[first + j * stride..][..QUAD])
-            .sum();
-        match usize::from(sum) {
+        let row = |j: usize| match self.cells[first + j * stride..].first_chunk::<QUAD>() {
+            Some(row) => u32::from_le_bytes(*row),
+            None => 0,
+        };
+        // four sums of four cells side by side
+        match row(0) + row(1) + row(2) + row(3) {
             0 => Fill::Empty,
-            n if n == QUAD * QUAD => Fill::Full,
+            0x0404_0404 => Fill::Full,
             _ => Fill::Mixed,
         }
     }
@@ -208,6 +211,7 @@ pub fn extent(rays: &Rays, k: usize) -> (usize, usize, usize, usize) {
     )
 }
 
+#[inline(always)]
 fn code_fill<C: Coder>(coder: &mut C, full: &mut Bit, empty: &mut Bit, fill: Fill) -> Fill {
     if coder.bit(full, fill == Fill::Full) {
         Fill::Full
@@ -329,6 +333,7 @@ pub fn code_pixels<C: Coder>(
     wanted: &[u64],
 ) {
     let columns = rays.block_columns;
+    let [a, b, c] = &mut models.pixel;
     for y in 0..rays.height {
         let row = y / BLOCK * columns;
         let low = y % BLOCK / QUAD * 2;
@@ -343,63 +348,97 @@ pub fn code_pixels<C: Coder>(
                 }
                 let x0 = (k - row) * BLOCK + right * QUAD;
                 let start = mask.pixels.index(x0, y);
+                let mut around = Around::of(
+                    &mask.pixels,
+                    before.map(|b| (b.cells, b.at(k, start))),
+                    start,
+                );
                 for j in 0..QUAD.min(rays.width - x0) {
-                    let i = start + j;
-                    let cells = contexts(&mask.pixels, before.map(|b| (b.cells, b.at(k, i))), i);
-                    let [a, b, c] = &mut models.pixel;
+                    let ([near, wide, past], set) = around.contexts(j);
                     let read = mixer::code(
                         coder,
-                        [&mut a[cells[0]], &mut b[cells[1]], &mut c[cells[2]]],
-                        &mut models.weights[cells[0] >> 6],
+                        [&mut a[near], &mut b[wide], &mut c[past]],
+                        &mut models.weights[set],
                         on >> (right * QUAD + j) & 1 != 0,
                     );
-                    mask.pixels.cells_mut()[i] = u8::from(read);
+                    around.row |= usize::from(read) << (LEFT + j);
+                    mask.pixels.cells_mut()[start + j] = u8::from(read);
                 }
             }
         }
     }
 }
 
-/// Cells of 0 and 1 as bits, cell `from` lowest.
-#[inline(always)]
-fn window(cells: &[u8], from: usize) -> usize {
-    match cells[from..].first_chunk::<8>() {
-        Some(row) => (u64::from_le_bytes(*row).wrapping_mul(0x0102_0408_1020_4080) >> 56) as usize,
-        None => 0,
+/// Columns to the left of a pixel that its contexts look at.
+const LEFT: usize = 3;
+
+/// Rows of the mask around four pixels as bits; bit [`LEFT`] is the first pixel's column. Read
+/// once for the four of them.
+struct Around {
+    top: usize,
+    above: usize,
+    /// The pixels' own row, as far as it is known.
+    row: usize,
+    below: usize,
+    /// The last mask's three rows.
+    past: Option<[usize; 3]>,
+}
+
+impl Around {
+    #[inline(always)]
+    fn of(mask: &Plane<u8>, before: Option<(&[u8], usize)>, i: usize) -> Self {
+        let (p, s) = (mask.cells(), mask.stride());
+        Self {
+            top: window(p, i - 2 * s - LEFT),
+            above: window(p, i - s - LEFT),
+            row: window(p, i - LEFT),
+            below: window(p, i + s - LEFT),
+            past: before.map(|(b, i)| [i - s, i, i + s].map(|i| window(b, i - LEFT))),
+        }
+    }
+
+    /// Contexts of pixel `j`, and its set of weights: six neighbours decoded already with three pixels
+    /// of the last mask and what is known to the east and south; ten neighbours; the last mask all
+    /// around.
+    #[inline(always)]
+    fn contexts(&self, j: usize) -> ([usize; CONTEXTS], usize) {
+        // bit 3 of each row is the pixel's own column
+        let [top, above, row, below] = [self.top, self.above, self.row, self.below].map(|w| w >> j);
+        let near = row >> 1 & 3 | (above >> 2 & 7) << 2 | (top >> 3 & 1) << 5;
+        let ahead = row >> 4 & 1 | (below >> 3 & 1) << 1;
+        let wide = row & 1
+            | (above >> 1 & 1) << 1
+            | (above >> 5 & 1) << 2
+            | (top >> 2 & 1) << 3
+            | (top >> 4 & 1) << 4;
+        let (few, all) = match self.past {
+            None => (8, 512),
+            Some(past) => {
+                let [n, same, s] = past.map(|w| w >> (j + 2) & 7);
+                (same >> 1 | (s >> 1 & 1) << 2, n | same << 3 | s << 6)
+            }
+        };
+        let (w, n) = (row >> 2 & 1, above >> 3 & 1);
+        (
+            [
+                near << 6 | few << 2 | ahead,
+                near << 5 | wide,
+                all << 2 | w << 1 | n,
+            ],
+            near,
+        )
     }
 }
 
-/// The bits `at` of a window, the first one highest.
+/// Sixteen cells of 0 and 1 as bits, cell `from` lowest.
 #[inline(always)]
-fn pick<const N: usize>(window: usize, at: [usize; N]) -> usize {
-    at.iter().fold(0, |c, &k| c << 1 | window >> k & 1)
-}
-
-/// Contexts of a pixel: six neighbours decoded already with three pixels of the last mask and what
-/// is known to the east and south; ten neighbours; the last mask all around.
-#[inline(always)]
-fn contexts(mask: &Plane<u8>, before: Option<(&[u8], usize)>, i: usize) -> [usize; CONTEXTS] {
-    let (p, s) = (mask.cells(), mask.stride());
-    // bit 3 of each row is the pixel's own column
-    let row = window(p, i - 3);
-    let above = window(p, i - s - 3);
-    let top = window(p, i - 2 * s - 3);
-    let near = pick(row, [2, 1]) << 4 | pick(above, [2, 3, 4]) << 1 | pick(top, [3]);
-    let ahead = pick(row, [4]) << 1 | usize::from(p[i + s]);
-    let wide = pick(row, [0]) << 4 | pick(above, [1, 5]) << 2 | pick(top, [2, 4]);
-    let (few, all) = match before {
-        None => (8, 512),
-        Some((b, i)) => {
-            let rows = [i - s - 1, i - 1, i + s - 1].map(|from| window(b, from));
-            (
-                pick(rows[1], [1, 2]) << 1 | pick(rows[2], [1]),
-                rows.iter().fold(0, |c, &row| c << 3 | pick(row, [0, 1, 2])),
-            )
+fn window(cells: &[u8], from: usize) -> usize {
+    let eight = |row: u64| (row.wrapping_mul(0x0102_0408_1020_4080) >> 56) as usize;
+    match cells[from..].first_chunk::<16>() {
+        Some(cells) => {
+            let cells = u128::from_le_bytes(*cells);
+            eight(cells as u64) | eight((cells >> 64) as u64) << 8
         }
-    };
-    [
-        near << 6 | few << 2 | ahead,
-        near << 5 | wide,
-        all << 2 | (near >> 5) << 1 | near >> 2 & 1,
-    ]
+        None => 0,
+    }
 }

@@ -35,6 +35,24 @@ const fn squash(x: i32) -> i32 {
     (LOGISTIC[at] * (128 - part) + LOGISTIC[at + 1] * part + 64) >> 7
 }
 
+/// Probability of each log-odds, from `-MOST`, kept from certainty.
+static SQUASH: [u16; 2 * MOST as usize + 1] = {
+    let mut table = [0; 2 * MOST as usize + 1];
+    let mut at = 0;
+    while at < table.len() {
+        let p = squash(at as i32 - MOST);
+        table[at] = if p < 48 {
+            48
+        } else if p > 65488 {
+            65488
+        } else {
+            p as u16
+        };
+        at += 1;
+    }
+    table
+};
+
 /// Log-odds of each probability in 1/4096: the inverse of [`squash`].
 static STRETCH: [i16; 4096] = {
     let mut table = [MOST as i16; 4096];
@@ -98,21 +116,53 @@ impl Default for Weights {
     }
 }
 
-/// Probability of a one (1/65536) under the mixed estimates.
-#[inline(always)]
-#[must_use]
-pub fn chance(estimates: [&Estimate; CONTEXTS], weights: &Weights) -> u32 {
-    let mut sum = CONSTANT * weights.0[CONTEXTS];
-    for (e, w) in estimates.iter().zip(&weights.0) {
-        sum += e.log_odds() * w;
-    }
-    mixed(sum)
+/// What estimates and weights say of a bit that is still to be coded.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Mixture {
+    lanes: [i32; LANES],
+    one: u32,
 }
 
-/// Probability of a one from the weighted sum of log-odds.
-#[inline(always)]
-fn mixed(sum: i32) -> u32 {
-    squash((sum >> ONE).clamp(-MOST, MOST)).clamp(48, 65488) as u32
+impl Mixture {
+    /// Mixes the estimates.
+    #[inline(always)]
+    #[must_use]
+    pub fn of(estimates: [&Estimate; CONTEXTS], weights: &Weights) -> Self {
+        let mut lanes = [CONSTANT; LANES];
+        for (lane, e) in lanes.iter_mut().zip(estimates) {
+            *lane = e.log_odds();
+        }
+        let sum: i32 = lanes.iter().zip(&weights.0).map(|(s, w)| s * w).sum();
+        let one = u32::from(SQUASH[((sum >> ONE).clamp(-MOST, MOST) + MOST) as usize]);
+        Self { lanes, one }
+    }
+
+    /// Probability of a one, in 1/65536.
+    #[inline(always)]
+    #[must_use]
+    pub const fn one(&self) -> u32 {
+        self.one
+    }
+
+    /// Codes `value`; the estimates and weights that were mixed learn it.
+    #[inline(always)]
+    pub fn code<C: Coder>(
+        &self,
+        coder: &mut C,
+        estimates: [&mut Estimate; CONTEXTS],
+        weights: &mut Weights,
+        value: bool,
+    ) -> bool {
+        let bit = coder.chance(self.one, value);
+        let error = ((i32::from(bit) << 16) - self.one as i32) >> 4;
+        for (w, s) in weights.0.iter_mut().zip(self.lanes) {
+            *w = (*w + ((s * error + (1 << 12)) >> 13)).clamp(-HEAVIEST, HEAVIEST);
+        }
+        for e in estimates {
+            e.learn(bit);
+        }
+        bit
+    }
 }
 
 /// Codes `value` under the mixed estimates; all of them and the weights learn it.
@@ -123,21 +173,8 @@ pub fn code<C: Coder>(
     weights: &mut Weights,
     value: bool,
 ) -> bool {
-    let mut lanes = [CONSTANT; LANES];
-    for (lane, e) in lanes.iter_mut().zip(&estimates) {
-        *lane = e.log_odds();
-    }
-    let sum: i32 = lanes.iter().zip(&weights.0).map(|(s, w)| s * w).sum();
-    let p = mixed(sum);
-    let bit = coder.chance(p, value);
-    let error = ((i32::from(bit) << 16) - p as i32) >> 4;
-    for (w, s) in weights.0.iter_mut().zip(lanes) {
-        *w = (*w + ((s * error + (1 << 12)) >> 13)).clamp(-HEAVIEST, HEAVIEST);
-    }
-    for e in estimates {
-        e.learn(bit);
-    }
-    bit
+    let [a, b, c] = estimates;
+    Mixture::of([a, b, c], weights).code(coder, [a, b, c], weights, value)
 }
 
 #[cfg(test)]
