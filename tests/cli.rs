@@ -362,6 +362,15 @@ fn synthesize_bench_and_trace() {
         );
     }
     assert_eq!(bench["frames"], 6);
+    let spent = bench["spent_bits"].as_object().unwrap();
+    let bits: f64 = spent.values().map(|part| part.as_f64().unwrap()).sum();
+    let payload = 8.0 * 6.0 * bench["bytes_per_frame"].as_f64().unwrap();
+    assert!(
+        (bits - payload).abs() < 1e-3 * payload,
+        "{bits} of {payload}"
+    );
+    let shares = run(["bench", scene, "-n", "2"], 0).0;
+    assert!(shares.contains("bits        mask "), "{shares}");
     let trace = folder.path().join("t.json");
     let trace = trace.to_str().unwrap();
     run(["replay", scene, "--trace", trace, "-q"], 0);

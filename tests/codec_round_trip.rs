@@ -50,6 +50,9 @@ fn coded(size: (u32, u32), picture: Picture, with: CodecOptions, seed: u64) {
             .unwrap();
         let what = format!("{picture:?} {size:?} {contact} lossless {lossless} frame {number}");
         assert_eq!(coded.valid_pixels, report.valid_pixels, "{what}");
+        let spent = coded.spent();
+        assert_eq!(spent.total(), 8 * encoded.payload.len() as u64, "{what}");
+        assert!(spent.mask >= u64::from(coded.mask_bits), "{what}");
         assert_eq!(encoded.key, number == 0, "{what}");
         let decoded = decoder
             .decode(&encoded.payload)

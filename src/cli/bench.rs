@@ -12,7 +12,7 @@ use super::source::{self, InputOptions};
 use super::{message, signals, status};
 use hdrhistogram::Histogram;
 use saint_live::capture::Next;
-use saint_live::codec::{Decoder, EncodedFrame};
+use saint_live::codec::{Decoder, EncodedFrame, Spent};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::deproject::Validity;
 use saint_live::frame::{Camera, DepthFrame};
@@ -83,6 +83,8 @@ struct Results {
     bits_per_valid_px: f64,
     bytes_per_frame: f64,
     key_bits_per_valid_px: f64,
+    /// Bits of all frames measured, by what they say.
+    spent_bits: Spent,
     encode_ms: Times,
     decode_ms: Times,
     stage_ms: StageTimes,
@@ -143,6 +145,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
         bits_per_valid_px: share(warm.bytes * 8, warm.points),
         bytes_per_frame: per_frame(warm.bytes),
         key_bits_per_valid_px: share(cold.bytes * 8, cold.points),
+        spent_bits: warm.spent,
         encode_ms: (&warm.encode).into(),
         decode_ms: (&warm.decode).into(),
         stage_ms: StageTimes {
@@ -254,6 +257,7 @@ struct Warm {
     lost: u64,
     spheres: u64,
     bytes: u64,
+    spent: Spent,
 }
 
 impl Warm {
@@ -275,6 +279,7 @@ impl Warm {
             lost: 0,
             spheres: 0,
             bytes: 0,
+            spent: Spent::default(),
         })
     }
 
@@ -327,7 +332,7 @@ fn warm(
             .model(frame, &mut saint, &|| false)
             .map_err(stage_failed)?;
         let modelled = Monotonic.now_ns();
-        encode
+        let coding = encode
             .encode(frame, &saint, &report, &mut encoded)
             .map_err(stage_failed)?;
         let coded = Monotonic.now_ns();
@@ -349,6 +354,7 @@ fn warm(
         warm.warm += u64::from(report.warm);
         warm.spheres += u64::from(report.spheres);
         warm.bytes += encoded.payload.len() as u64;
+        warm.spent += coding.spent;
         warm.compare(frame, &decoded.depth_m, &validity, camera.depth_unit_m);
     }
     Ok(warm)
@@ -368,6 +374,7 @@ fn table(r: &Results) -> String {
 points      {:.0} a frame, coverage {:.3} %, kept {:.3} %, warm {:.1} %
 spheres     {:.0} a frame
 size        {:.4} bits per valid pixel ({:.0} bytes a frame); key frames {:.4}
+bits        {}
 error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
 warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
 cold ms     p50 {:.2}  p99 {:.2}
@@ -389,6 +396,7 @@ memory MB   {:.1}, of which frames {:.1}
         r.bits_per_valid_px,
         r.bytes_per_frame,
         r.key_bits_per_valid_px,
+        r.spent_bits,
         e.mean,
         e.p95,
         e.p99,

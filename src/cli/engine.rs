@@ -2,7 +2,7 @@
 
 use super::args::{DomainArg, EffortArg, EngineArgs, MapArgs, PackingArg, SchemeArg};
 use super::failure::{Failure, Kind};
-use saint_live::codec::{CodecOptions, Domain, Effort, EncodedFrame, Encoder, polar};
+use saint_live::codec::{CodecOptions, Domain, Effort, EncodedFrame, Encoder, Spent, polar};
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::contact_map::polar_frame::{PolarMapper, default_step_m};
 use saint_live::fit::cloud::{FitParameters, Scheme};
@@ -303,7 +303,7 @@ impl Encode for EncodeStage {
         modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError> {
-        let lost = match &mut self.coding {
+        let (lost, spent) = match &mut self.coding {
             Coding::Sensor(encoder) => {
                 if let Some(distance) = self.rate.as_mut().and_then(Rate::next) {
                     encoder.set_contact_distance(distance);
@@ -312,7 +312,7 @@ impl Encode for EncodeStage {
                 if let Some(rate) = &mut self.rate {
                     rate.observe(encoded);
                 }
-                report.lost_pixels
+                (report.lost_pixels, report.spent())
             }
             Coding::Polar(mapper) => {
                 let (map, lost) = mapper.map(depth, saint)?;
@@ -321,13 +321,17 @@ impl Encode for EncodeStage {
                 encoded.key = true;
                 encoded.payload.clear();
                 polar::encode(&map, &mut encoded.payload)?;
-                lost
+                (lost, Spent::default())
             }
         };
         let residual = match &mut self.sampler {
             Some(sampler) => sampler.residual(depth, saint),
             None => Residual::default(),
         };
-        Ok(CodingReport { lost, residual })
+        Ok(CodingReport {
+            lost,
+            residual,
+            spent,
+        })
     }
 }

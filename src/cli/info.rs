@@ -113,6 +113,9 @@ fn describe(info: &Info) -> String {
             bits / 8.0
         );
     }
+    if let Some(account) = info.account.as_ref().filter(|a| a.spent_bits.total() > 0) {
+        let _ = writeln!(text, "bits      {}", account.spent_bits);
+    }
     if !raw {
         let _ = writeln!(text, "contacts  {} map", info.contact_map);
     }

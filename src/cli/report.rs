@@ -146,6 +146,9 @@ pub fn summary(run: &Report) -> String {
             error.max,
         ),
     ];
+    if run.spent_bits.total() > 0 {
+        lines.push(format!("bits       {}", run.spent_bits));
+    }
     lines.extend(color(run));
     lines.join("\n")
 }

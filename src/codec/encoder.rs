@@ -8,7 +8,7 @@ use super::residual::Kind;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
 use super::surface::{self, to_integer};
-use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
+use super::{CodecError, EncodedFrame, Spent, mask, mask_choice, palette_choice};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
@@ -82,6 +82,27 @@ pub struct EncodeReport {
     pub pixel_bytes: u32,
     /// Bytes of the residual section.
     pub residual_bytes: u32,
+    /// Bits of the section of blocks that say where anything was measured.
+    pub fill_bits: u32,
+    /// Bits of the section of pixels that do.
+    pub mask_bits: u32,
+}
+
+impl EncodeReport {
+    /// The payload's bits by what they say.
+    #[must_use]
+    pub fn spent(&self) -> Spent {
+        let bits = |bytes: u32| 8 * u64::from(bytes);
+        let (fills, mask) = (u64::from(self.fill_bits), u64::from(self.mask_bits));
+        Spent {
+            mask: fills + mask,
+            palettes: bits(self.block_bytes) - fills,
+            spheres: bits(self.sphere_bytes),
+            labels: bits(self.pixel_bytes) - mask,
+            residual: bits(self.residual_bytes),
+            header: bits(self.header_bytes),
+        }
+    }
 }
 
 /// The encoder with its reference frame and buffers.
@@ -326,6 +347,11 @@ impl Encoder {
             report.pixel_bytes,
             report.residual_bytes,
         ] = header.sections.map(|n| n as u32);
+        // a section lacks the zeros at its end
+        let within = |spent: u64, bytes: u32| (spent.div_ceil(16) as u32).min(8 * bytes);
+        let [fills, mask] = self.state.mask_bits;
+        report.fill_bits = within(fills, report.block_bytes);
+        report.mask_bits = within(mask, report.pixel_bytes);
         for s in &self.sections {
             out.payload.extend_from_slice(s);
         }

@@ -9,6 +9,7 @@
 
 pub mod merged;
 pub mod polar;
+mod polar_claims;
 
 use crate::frame::FrameTime;
 
@@ -32,6 +33,7 @@ pub mod rate;
 pub mod residual;
 #[cfg(test)]
 mod section_tests;
+pub mod spent;
 pub mod sphere_table;
 mod state;
 mod surface;
@@ -41,6 +43,7 @@ pub use effort::Effort;
 pub use encoder::{CodecOptions, EncodeReport, Encoder};
 pub use header::Tolerance;
 pub use payload::{Domain, Payload, PayloadDecoder};
+pub use spent::Spent;
 
 /// One encoded frame, as it is stored or sent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -1,15 +1,17 @@
 //! Payload of a polar SAINT model: spheres and the contact map that keeps every claim (`FORMAT.md`,
 //! chapter 2).
 
+use super::polar_claims::{self, Misstated, Models, floats};
+use super::range_coder::{Decoder as RangeDecoder, Encoder as RangeEncoder};
 use crate::contact_map::merged::ClaimMap;
-use crate::contact_map::polar::{MAX_STEPS, Patch, PatchCell};
-use glam::{DVec3, Vec3};
+use crate::contact_map::polar::{MAX_STEPS, Patch};
+use glam::DVec3;
 
 /// First four bytes of a polar payload.
 pub const MAGIC: [u8; 4] = *b"SPOL";
-const VERSION: u8 = 1;
-/// Bytes of one sphere.
-const SPHERE_BYTES: usize = 28;
+const VERSION: u8 = 2;
+/// Most spheres and claims in a coded byte: what is read takes memory in proportion to the bytes.
+const MOST_IN_A_BYTE: usize = 64;
 /// Bytes of the check at the end.
 const CHECK_BYTES: usize = 4;
 
@@ -34,15 +36,18 @@ pub enum PolarCodecError {
         /// The bytes of this kind.
         wanted: [u8; 4],
     },
-    /// A version or flag from the future.
+    /// Another version, or a flag from the future.
     #[error(
-        "the polar payload has version {version} and flags {flags}; this reader knows version {VERSION} and flags 0, update it"
+        "the payload has version {version} and flags {flags}, this program reads version {known} and flags 0; {}",
+        if version < known { "make the file anew from its source" } else { "use a newer program" }
     )]
     Unsupported {
         /// Version found.
         version: u8,
         /// Flags found.
         flags: u8,
+        /// Version that is read.
+        known: u8,
     },
     /// The check does not match.
     #[error(
@@ -95,7 +100,6 @@ pub enum PolarCodecError {
 pub fn encode(map: &ClaimMap, bytes: &mut Vec<u8>) -> Result<(), PolarCodecError> {
     check_map(map)?;
     let start = bytes.len();
-    bytes.reserve(64 + map.patches.len() * (SPHERE_BYTES + 2) + map.cells.len() * 2);
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&[VERSION, 0]);
     for v in map.origin.to_array() {
@@ -103,14 +107,11 @@ pub fn encode(map: &ClaimMap, bytes: &mut Vec<u8>) -> Result<(), PolarCodecError
     }
     bytes.extend_from_slice(&map.step_m.to_le_bytes());
     put_varint(bytes, map.patches.len() as u32);
-    for patch in &map.patches {
-        for v in floats(patch) {
-            bytes.extend_from_slice(&v.to_le_bytes());
-        }
-    }
-    for s in 0..map.patches.len() {
-        put_claims(bytes, map.claims(s));
-    }
+    put_varint(bytes, map.cells.len() as u32);
+    let body = bytes.len();
+    encode_spheres(map, bytes);
+    let least = (map.patches.len() + map.cells.len()).div_ceil(MOST_IN_A_BYTE);
+    bytes.resize(bytes.len().max(body + least), 0);
     let check = crc32fast::hash(&bytes[start..]);
     bytes.extend_from_slice(&check.to_le_bytes());
     Ok(())
@@ -131,95 +132,89 @@ fn read_body(reader: &mut Reader<'_>) -> Result<ClaimMap, PolarCodecError> {
     if !usable_step(step_m) {
         return Err(reader.value("step"));
     }
-    let count = reader.varint("number of spheres")? as usize;
-    // 28 bytes and at least the count of claims each
-    if count > reader.left() / (SPHERE_BYTES + 1) {
-        return Err(reader.count("spheres", count));
+    let spheres = reader.varint("number of spheres")? as usize;
+    let claims = reader.varint("number of claims")? as usize;
+    let count = spheres.saturating_add(claims);
+    if count > reader.left().saturating_mul(MOST_IN_A_BYTE) {
+        return Err(reader.count("spheres and claims", count));
     }
     let mut map = ClaimMap {
         origin,
         step_m,
-        patches: Vec::with_capacity(count),
-        starts: Vec::with_capacity(count + 1),
-        cells: Vec::with_capacity(reader.left() - count * SPHERE_BYTES),
+        patches: Vec::with_capacity(spheres),
+        starts: Vec::with_capacity(spheres + 1),
+        cells: Vec::with_capacity(claims),
     };
-    for _ in 0..count {
-        let mut v = [0f32; 7];
-        for value in &mut v {
-            *value = f32::from_le_bytes(reader.array("sphere")?);
-        }
-        let patch = Patch {
-            anchor: Vec3::new(v[0], v[1], v[2]),
-            normal: Vec3::new(v[3], v[4], v[5]),
-            curvature: v[6],
-        };
-        if !usable_patch(&patch) {
-            return Err(reader.value("sphere"));
-        }
-        map.patches.push(patch);
-    }
-    map.starts.push(0);
-    for _ in 0..count {
-        read_claims(reader, &mut map.cells)?;
-        // a claim takes a byte or more, so a payload within u32 has no more claims than that
-        let end = u32::try_from(map.cells.len()).map_err(|_| reader.value("number of claims"))?;
-        map.starts.push(end);
-    }
-    reader.end()?;
+    read_spheres(reader, spheres, claims, &mut map)?;
     Ok(map)
 }
 
-fn read_claims(reader: &mut Reader<'_>, cells: &mut Vec<PatchCell>) -> Result<(), PolarCodecError> {
-    let count = reader.varint("number of claims")? as usize;
-    if count > reader.left() {
-        return Err(reader.count("claims", count));
-    }
-    let (mut row, mut row_start, mut column) = (0i64, 0i64, 0i64);
-    for n in 0..count {
-        let token = reader.varint("claim")?;
-        let up = i64::from(token >> 1);
-        if token & 1 == 1 {
-            row = if n == 0 {
-                unzigzag(token >> 1)
-            } else {
-                row + up + 1
-            };
-            row_start += unzigzag(reader.varint("column")?);
-            column = row_start;
-        } else if n == 0 {
-            return Err(reader.value("first claim"));
-        } else {
-            column += up + 1;
+fn encode_spheres(map: &ClaimMap, bytes: &mut Vec<u8>) {
+    let mut coder = RangeEncoder::new(bytes);
+    let mut models = Models::default();
+    let (mut tiles, mut coded, mut cells) = (Vec::new(), Vec::new(), Vec::new());
+    for (s, patch) in map.patches.iter().enumerate() {
+        polar_claims::tiles(map.claims(s), &mut tiles);
+        let any = polar_claims::code_claims(&mut coder, &mut models, !tiles.is_empty());
+        polar_claims::code_patch(&mut coder, &mut models, any, Some(patch));
+        if any {
+            cells.clear();
+            let most = map.cells.len();
+            let (c, m) = (&mut coder, &mut models);
+            let coded = polar_claims::code_cells(c, m, &tiles, most, &mut coded, &mut cells);
+            debug_assert!(coded.is_ok() && cells == map.claims(s));
         }
-        let limit = i64::from(MAX_STEPS);
-        if row.abs() > limit || column.abs() > limit {
-            return Err(reader.value("cell"));
-        }
-        cells.push(PatchCell {
-            row: row as i32,
-            column: column as i32,
-        });
     }
-    Ok(())
+    coder.finish();
 }
 
-fn put_claims(bytes: &mut Vec<u8>, cells: &[PatchCell]) {
-    put_varint(bytes, cells.len() as u32);
-    let mut last: Option<PatchCell> = None;
-    let mut row_start = 0;
-    for &cell in cells {
-        match last {
-            Some(l) if l.row == cell.row => {
-                put_varint(bytes, ((cell.column - l.column - 1) as u32) << 1);
-            }
-            _ => {
-                let up = last.map_or(zigzag(cell.row), |l| (cell.row - l.row - 1) as u32);
-                put_varint(bytes, up << 1 | 1);
-                put_varint(bytes, zigzag(cell.column - row_start));
-                row_start = cell.column;
-            }
+fn read_spheres(
+    reader: &Reader<'_>,
+    spheres: usize,
+    claims: usize,
+    map: &mut ClaimMap,
+) -> Result<(), PolarCodecError> {
+    let value = |what| PolarCodecError::Value {
+        what,
+        at: reader.bytes.len(),
+    };
+    let mut coder = RangeDecoder::new(&reader.bytes[reader.at..]);
+    let mut models = Models::default();
+    let mut tiles = Vec::new();
+    map.starts.push(0);
+    for _ in 0..spheres {
+        let any = polar_claims::code_claims(&mut coder, &mut models, false);
+        let patch = polar_claims::code_patch(&mut coder, &mut models, any, None);
+        if !usable_patch(&patch) {
+            return Err(value("sphere"));
         }
-        last = Some(cell);
+        map.patches.push(patch);
+        if any {
+            let left = claims - map.cells.len();
+            let (c, m, cells) = (&mut coder, &mut models, &mut map.cells);
+            polar_claims::code_cells(c, m, &[], left, &mut tiles, cells).map_err(|misstated| {
+                match misstated {
+                    Misstated::Many => value("number of claims"),
+                    Misstated::Far => value("cell"),
+                }
+            })?;
+        }
+        if coder.overran() {
+            return Err(PolarCodecError::Truncated {
+                what: "spheres and claims",
+                length: reader.bytes.len(),
+            });
+        }
+        map.starts.push(map.cells.len() as u32);
+    }
+    if map.cells.len() != claims {
+        return Err(value("number of claims"));
+    }
+    // zeros fill up what a byte may hold
+    let extra = coder.rest();
+    match extra.iter().rposition(|byte| *byte != 0) {
+        Some(last) => Err(PolarCodecError::Extra { extra: last + 1 }),
+        None => Ok(()),
     }
 }
 
@@ -259,19 +254,6 @@ fn usable_patch(patch: &Patch) -> bool {
     floats(patch).iter().all(|v| v.is_finite()) && (patch.normal.length() - 1.0).abs() < 1e-3
 }
 
-fn floats(patch: &Patch) -> [f32; 7] {
-    let (a, n) = (patch.anchor, patch.normal);
-    [a.x, a.y, a.z, n.x, n.y, n.z, patch.curvature]
-}
-
-fn zigzag(v: i32) -> u32 {
-    (v << 1 ^ v >> 31) as u32
-}
-
-fn unzigzag(v: u32) -> i64 {
-    i64::from(v >> 1) ^ -i64::from(v & 1)
-}
-
 pub(super) fn put_varint(bytes: &mut Vec<u8>, mut v: u32) {
     while v >= 0x80 {
         bytes.push(v as u8 | 0x80);
@@ -301,7 +283,11 @@ impl<'a> Reader<'a> {
         }
         let [version, flags] = reader.array("version")?;
         if version != known || flags != 0 {
-            return Err(PolarCodecError::Unsupported { version, flags });
+            return Err(PolarCodecError::Unsupported {
+                version,
+                flags,
+                known,
+            });
         }
         let body = bytes
             .len()

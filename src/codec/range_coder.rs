@@ -85,6 +85,11 @@ pub trait Coder {
     }
     /// Codes the low `count` (≤ 16) bits of `value` without a model.
     fn plain(&mut self, count: u32, value: u32) -> u32;
+    /// Bits written so far, in 1/16 bit, to a quarter of a bit: what lies between two calls took their difference. 0 while
+    /// reading.
+    fn written(&self) -> u64 {
+        0
+    }
 }
 
 /// Writes bits to a byte buffer.
@@ -186,6 +191,13 @@ impl Coder for Encoder<'_> {
         }
         value
     }
+
+    fn written(&self) -> u64 {
+        let whole = self.range.ilog2();
+        let part = u64::from(self.range) << 4 >> whole & 15;
+        let open = u64::from(16 * (32 - whole)) - part;
+        128 * (self.out.len() as u64 + self.pending + u64::from(!self.first)) + open
+    }
 }
 
 /// Reads bits from bytes. Never fails while reading: past the end it reads zeros and counts them.
@@ -218,6 +230,12 @@ impl<'a> Decoder<'a> {
         let byte = self.bytes.get(self.at).copied().unwrap_or(0);
         self.at += 1;
         u32::from(byte)
+    }
+
+    /// Bytes that nothing was read from.
+    #[must_use]
+    pub fn rest(&self) -> &'a [u8] {
+        self.bytes.get(self.at..).unwrap_or(&[])
     }
 
     /// True where more was read than any encoder would have left out: the bytes are damaged.
@@ -360,6 +378,32 @@ mod tests {
             let entropy = -20_000.0 * (p * p.log2() + (1.0 - p) * (1.0 - p).log2());
             prop_assert!(8.0 * bytes.len() as f64 <= 1.15 * entropy + 64.0, "{} bits for an entropy of {entropy}", 8 * bytes.len());
         }
+    }
+
+    #[test]
+    fn what_was_written_is_known_to_a_quarter_of_a_bit() {
+        let mut bytes = Vec::new();
+        let mut encoder = Encoder::new(&mut bytes);
+        let (mut model, mut bits) = (Bit::default(), 0.0);
+        let start = encoder.written() as f64 / 16.0;
+        for n in 0..3000u32 {
+            let value = n * n % 7 < 2;
+            let one = f64::from(model.one()) / 65536.0;
+            bits -= if value { one } else { 1.0 - one }.log2();
+            encoder.bit(&mut model, value);
+            if n % 5 == 0 {
+                encoder.plain(3, n & 7);
+                bits += 3.0;
+            }
+            let written = encoder.written() as f64 / 16.0 - start;
+            // the coder itself rounds its range
+            assert!(
+                (written - bits).abs() < 0.25 + 2e-3 * bits,
+                "{n}: {written} {bits}"
+            );
+        }
+        encoder.finish();
+        assert!((8.0 * bytes.len() as f64 - bits).abs() < 40.0);
     }
 
     #[test]

@@ -55,6 +55,8 @@ pub(super) struct State {
     /// Rebuilt depth integers; 0 where nothing was measured.
     pub rebuilt: Plane<u16>,
     pub traces: Plane<Trace>,
+    /// What the mask took of the sections of blocks and of pixels, in 1/16 bit (encoding only).
+    pub mask_bits: [u64; 2],
 }
 
 impl State {
@@ -128,11 +130,14 @@ impl State {
             now,
             before,
             new,
+            mask_bits,
             ..
         } = self;
         let past = (!key).then_some(&*before);
         let masks = past.map(|b| &b.mask);
+        let start = coder.written();
         mask::code_fills(coder, &mut models.fills, rays, &mut now.mask, masks, wanted);
+        *mask_bits = [coder.written() - start, 0];
         palettes::code(
             coder,
             &mut models.palettes,
@@ -160,6 +165,7 @@ impl State {
             now,
             before,
             shifts,
+            mask_bits,
             ..
         } = self;
         let stride = now.mask.pixels.stride();
@@ -169,8 +175,10 @@ impl State {
             shifts,
         });
         let models = &mut models.mask;
+        let start = coder.written();
         mask::code_quads(coder, models, rays, &mut now.mask, past, wanted);
         mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, patience);
+        mask_bits[1] = coder.written() - start;
     }
 
     /// Section *pixels*, second half: labels. Predicted depths come with them.

@@ -100,11 +100,21 @@ impl ClaimMap {
             let sum = &mut sums[s as usize];
             *sum = (sum.0 + points.at(i).as_dvec3(), sum.1 + 1.0);
         }
-        let patches: Vec<Patch> = model
+        let exact: Vec<Patch> = model
             .spheres
             .iter()
             .zip(&sums)
             .map(|(sphere, &(sum, n))| Patch::new(sphere, sum / f64::max(n, 1.0)))
+            .collect();
+        let mut reach = vec![0f32; count];
+        for (i, s) in assigned(points, model) {
+            let from = points.at(i).distance(exact[s as usize].anchor);
+            reach[s as usize] = reach[s as usize].max(from);
+        }
+        let patches: Vec<Patch> = exact
+            .iter()
+            .zip(reach)
+            .map(|(patch, reach)| patch.rounded(f64::from(reach), f64::from(step_m)))
             .collect();
         let grids: Vec<_> = patches.iter().map(|p| p.grid(f64::from(step_m))).collect();
         let mut outside = 0;

@@ -132,6 +132,37 @@ impl Patch {
         }
     }
 
+    /// The same patch in fewer digits: within `reach_m` of its anchor the surface moves by a few
+    /// hundredths of `step_m` at most. Digits below that would cost bits and say nothing.
+    #[must_use]
+    pub fn rounded(&self, reach_m: f64, step_m: f64) -> Self {
+        let reach_m = reach_m.max(step_m);
+        // powers of two: the numbers end in zeros
+        let grain = |limit: f64| limit.max(f64::MIN_POSITIVE).log2().floor().exp2();
+        let round = |v: f32, grain: f64| {
+            let rounded = ((f64::from(v) / grain).round() * grain) as f32;
+            if rounded.is_finite() { rounded } else { v }
+        };
+        let (length, turn) = (grain(step_m / 64.0), grain(step_m / (64.0 * reach_m)));
+        let bend = grain(step_m / (32.0 * reach_m * reach_m));
+        let mut normal = self.normal.to_array();
+        let size = normal.map(f32::abs);
+        let pole = (0..3).fold(0, |most, k| if size[k] >= size[most] { k } else { most });
+        // two components say the third, the greatest
+        let mut rest = 1.0;
+        for k in (0..3).filter(|k| *k != pole) {
+            normal[k] = round(normal[k], turn);
+            rest -= f64::from(normal[k]) * f64::from(normal[k]);
+        }
+        normal[pole] = (rest.max(0.0).sqrt() as f32).copysign(normal[pole]);
+        let unit = (Vec3::from(normal).length() - 1.0).abs() < 1e-4;
+        Self {
+            anchor: self.anchor.to_array().map(|v| round(v, length)).into(),
+            normal: if unit { normal.into() } else { self.normal },
+            curvature: round(self.curvature, bend),
+        }
+    }
+
     /// Centre and radius, metres, as the paper stores them.
     #[must_use]
     pub fn center_radius(&self) -> (DVec3, f64) {
@@ -297,6 +328,29 @@ mod tests {
             let error = rebuilt.distance(p);
             let bound = 0.5f64.sqrt() * step_m + off.abs() + slack;
             prop_assert!(error <= bound, "{error} m off, at most {bound}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn rounding_moves_the_surface_by_a_few_hundredths_of_a_step(
+            anchor in direction(), normal in direction(), radius in prop_oneof![0.1f64..2.0, 1f64..1e4],
+            reach in 0.001f64..3.0, step_m in 1e-3f64..0.02, at in 0f64..TAU,
+        ) {
+            let patch = Patch {
+                anchor: (5.0 * anchor).as_vec3(),
+                normal: normal.as_vec3().normalize(),
+                curvature: (1.0 / radius) as f32,
+            };
+            // no farther than a quarter of the way round
+            let reach = reach.min(radius);
+            let rounded = patch.rounded(reach, step_m);
+            let (row, column) = (reach * at.sin() / step_m, reach * at.cos() / step_m);
+            let cell = PatchCell { row: row as i32, column: column as i32 };
+            let p = patch.grid(step_m).point(cell);
+            let off = rounded.sphere().distance(p).abs();
+            prop_assert!(off < 0.06 * step_m + 3e-6, "{} steps", off / step_m);
+            prop_assert!((rounded.normal.length() - 1.0).abs() < 1e-4);
         }
     }
 

@@ -52,7 +52,10 @@ impl Encode for Encoder {
         modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError> {
-        Self::encode(self, depth, saint, modelled.degraded, encoded)?;
-        Ok(CodingReport::default())
+        let report = Self::encode(self, depth, saint, modelled.degraded, encoded)?;
+        Ok(CodingReport {
+            spent: report.spent(),
+            ..CodingReport::default()
+        })
     }
 }

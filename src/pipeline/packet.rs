@@ -1,6 +1,6 @@
 //! What travels from stage to stage: one frame with all its buffers, and its record.
 
-use crate::codec::EncodedFrame;
+use crate::codec::{EncodedFrame, Spent};
 use crate::contact_map::labels::SaintFrame;
 use crate::frame::{ColorFrame, DepthFrame};
 use serde::Serialize;
@@ -57,6 +57,8 @@ pub struct CodingReport {
     pub lost: u32,
     /// Error of those it does give back.
     pub residual: Residual,
+    /// Where the payload's bits go; nothing where its contact map is polar.
+    pub spent: Spent,
 }
 
 /// Everything that is known of one frame's way through the pipeline.

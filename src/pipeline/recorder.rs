@@ -81,6 +81,7 @@ impl Recorder {
                 "sensor_frames": total.sensor_frames,
                 "frames": total.frames,
                 "drops": total.drops,
+                "spent_bits": total.spent_bits,
             });
             let last = self.last;
             self.write(|writer, camera| writer.statistics_of(camera, &report, last))?;

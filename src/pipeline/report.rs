@@ -3,6 +3,7 @@
 use super::packet::Residual;
 use super::percentiles::Summary;
 use super::statistics::Drops;
+use crate::codec::Spent;
 use serde::Serialize;
 
 /// Stage times, milliseconds.
@@ -60,6 +61,8 @@ pub struct Report {
     pub residual_mm: Residual,
     /// Payload bytes.
     pub bytes: u64,
+    /// Payload bits by what they say; nothing where the contact map is polar.
+    pub spent_bits: Spent,
     /// Payload bits per measured point.
     pub bits_per_valid_px: f64,
     /// Payload rate at the rate the frames were taken.
@@ -76,7 +79,8 @@ impl Report {
 capture_p50_ms,wait_p50_ms,model_p50_ms,model_p99_ms,encode_p50_ms,encode_p99_ms,sink_p50_ms,\
 drop_sensor_gap,drop_damaged,drop_stall,drop_queue,drop_budget,drop_sink,drop_failed,degraded,late,\
 points_per_frame,spheres_per_frame,coverage,warm,lost_points,residual_mean_mm,residual_p95_mm,residual_p99_mm,residual_max_mm,\
-bytes,bits_per_valid_px,mbit_per_s,color_frames,color_dropped,quality";
+bytes,bits_per_valid_px,mbit_per_s,color_frames,color_dropped,quality,\
+mask_bits,palette_bits,sphere_bits,label_bits,residual_bits,header_bits";
 
     /// The report as one line of comma separated values.
     #[must_use]
@@ -132,6 +136,7 @@ bytes,bits_per_valid_px,mbit_per_s,color_frames,color_dropped,quality";
         fields.push(self.color_frames.to_string());
         fields.push(self.color_dropped.to_string());
         fields.push(format!("{:.5}", self.quality));
+        fields.extend(self.spent_bits.parts().map(|part| part.1.to_string()));
         fields.join(",")
     }
 }

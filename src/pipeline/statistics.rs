@@ -8,6 +8,7 @@ use super::packet::{FrameRecord, Residual};
 use super::percentiles::Percentiles;
 use super::report::{Report, StageTimes};
 use crate::capture::SourceLosses;
+use crate::codec::Spent;
 use serde::Serialize;
 
 /// Frames that did not reach the output, by cause.
@@ -80,6 +81,7 @@ struct Totals {
     lost: u64,
     spheres: u64,
     bytes: u64,
+    spent: Spent,
     residual_mean_sum: f64,
     residual_p95_sum: f64,
     residual_p99_sum: f64,
@@ -117,6 +119,7 @@ impl Totals {
             lost: 0,
             spheres: 0,
             bytes: 0,
+            spent: Spent::default(),
             residual_mean_sum: 0.0,
             residual_p95_sum: 0.0,
             residual_p99_sum: 0.0,
@@ -144,6 +147,7 @@ impl Totals {
         self.lost += u64::from(coded.lost);
         self.spheres += u64::from(model.spheres);
         self.bytes += record.bytes;
+        self.spent += coded.spent;
         // weighted by the points the numbers speak of
         let weight = f64::from(model.points);
         self.residual_mean_sum += weight * f64::from(coded.residual.mean);
@@ -217,6 +221,7 @@ impl Totals {
                 max: self.residual_max,
             },
             bytes: self.bytes,
+            spent_bits: self.spent,
             bits_per_valid_px: per(bits, points),
             mbit_per_s: per(bits, frames) * rate * 1e-6,
             color_frames: self.color_frames,

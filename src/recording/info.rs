@@ -1,5 +1,6 @@
 //! What is in a recording, for people and scripts.
 
+use crate::codec::Spent;
 use crate::frame::{Camera, FrameTime};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -30,7 +31,7 @@ pub struct Damage {
     pub what: String,
 }
 
-/// Where the sensor's frames went, as the writer counted them: `sensor_frames` is `frames` and all
+/// Where the sensor's frames and the payloads' bits went, as the writer counted them: `sensor_frames` is `frames` and all
 /// drops together.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Account {
@@ -40,6 +41,9 @@ pub struct Account {
     pub frames: u64,
     /// Frames not written, by cause.
     pub drops: BTreeMap<String, u64>,
+    /// Payload bits by what they say; nothing where the writer did not count them.
+    #[serde(default)]
+    pub spent_bits: Spent,
 }
 
 impl Account {
