@@ -22,6 +22,10 @@ use saint_live::pipeline::stages::Encode;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+mod throughput;
+
+use throughput::Throughput;
+
 /// Most frames measured cold.
 const COLD_FRAMES: usize = 30;
 /// Most bytes of depth held in memory.
@@ -89,6 +93,8 @@ struct Results {
     /// Model and encode together.
     cold_ms: Times,
     warm_ms: Times,
+    /// Where there is more than one thread.
+    throughput: Option<Throughput>,
     rss_mb: f64,
     loaded_mb: f64,
     threads: usize,
@@ -112,6 +118,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(bar) = bar {
         bar.finish_and_clear();
     }
+    let throughput = throughput::measure(&camera, &engine, &frames, args.frames, &stop)?;
     let loaded: usize = frames.iter().map(|f| f.depth.len() * 2).sum();
     let per_frame = |sum: u64| sum as f64 / warm.frames.max(1) as f64;
     let share = |part: u64, of: u64| {
@@ -152,6 +159,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
         },
         cold_ms: (&cold.both).into(),
         warm_ms: (&warm.both).into(),
+        throughput,
         rss_mb: machine::resident_mb(),
         loaded_mb: loaded as f64 * 1e-6,
         threads: engine.threads,
@@ -371,7 +379,7 @@ size        {:.4} bits per valid pixel ({:.0} bytes a frame); key frames {:.4}
 error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
 warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
 cold ms     p50 {:.2}  p99 {:.2}
-memory MB   {:.1}, of which frames {:.1}
+{}memory MB   {:.1}, of which frames {:.1}
 ",
         r.camera,
         r.width,
@@ -400,6 +408,9 @@ memory MB   {:.1}, of which frames {:.1}
         r.decode_ms.p50,
         r.cold_ms.p50,
         r.cold_ms.p99,
+        r.throughput
+            .as_ref()
+            .map_or(String::new(), Throughput::line),
         r.rss_mb,
         r.loaded_mb,
     )
