@@ -22,8 +22,10 @@ use saint_live::pipeline::stages::Encode;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+mod profile;
 mod throughput;
 
+use profile::{Passes, Profile};
 use throughput::Throughput;
 
 /// Most frames measured cold.
@@ -95,6 +97,7 @@ struct Results {
     warm_ms: Times,
     /// Where there is more than one thread.
     throughput: Option<Throughput>,
+    profile_ms: Profile,
     rss_mb: f64,
     loaded_mb: f64,
     threads: usize,
@@ -160,6 +163,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
         cold_ms: (&cold.both).into(),
         warm_ms: (&warm.both).into(),
         throughput,
+        profile_ms: warm.passes.profile(&warm.model, &warm.encode, &warm.decode),
         rss_mb: machine::resident_mb(),
         loaded_mb: loaded as f64 * 1e-6,
         threads: engine.threads,
@@ -252,6 +256,7 @@ struct Warm {
     encode: Percentiles,
     decode: Percentiles,
     both: Percentiles,
+    passes: Passes,
     errors: Histogram<u64>,
     error_sum_mm: f64,
     error_max_mm: f64,
@@ -265,7 +270,7 @@ struct Warm {
 }
 
 impl Warm {
-    fn new() -> Result<Self, Failure> {
+    fn new(camera: &Camera) -> Result<Self, Failure> {
         let errors = Histogram::new_with_bounds(1, LARGEST_UM, 3)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         Ok(Self {
@@ -273,6 +278,7 @@ impl Warm {
             encode: Percentiles::new(),
             decode: Percentiles::new(),
             both: Percentiles::new(),
+            passes: Passes::new(camera),
             errors,
             error_sum_mm: 0.0,
             error_max_mm: 0.0,
@@ -314,7 +320,7 @@ fn warm(
     stop: &AtomicBool,
     progress: &dyn Fn(),
 ) -> Result<Warm, Failure> {
-    let mut warm = Warm::new()?;
+    let mut warm = Warm::new(camera)?;
     let validity = Validity::new(camera);
     let (mut model, encode) = engine::stages(camera, engine)?;
     let mut encode = encode.unsampled();
@@ -343,6 +349,7 @@ fn warm(
             .decode(&encoded.payload)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         let end = Monotonic.now_ns();
+        warm.passes.measure(frame, &encoded.payload)?;
         if n == 0 {
             continue;
         }
@@ -379,7 +386,7 @@ size        {:.4} bits per valid pixel ({:.0} bytes a frame); key frames {:.4}
 error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
 warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
 cold ms     p50 {:.2}  p99 {:.2}
-{}memory MB   {:.1}, of which frames {:.1}
+{}{}memory MB   {:.1}, of which frames {:.1}
 ",
         r.camera,
         r.width,
@@ -408,6 +415,7 @@ cold ms     p50 {:.2}  p99 {:.2}
         r.decode_ms.p50,
         r.cold_ms.p50,
         r.cold_ms.p99,
+        r.profile_ms.line(),
         r.throughput
             .as_ref()
             .map_or(String::new(), Throughput::line),
