@@ -22,6 +22,12 @@ use saint_live::pipeline::stages::Encode;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+mod profile;
+mod throughput;
+
+use profile::{Passes, Profile};
+use throughput::Throughput;
+
 /// Most frames measured cold.
 const COLD_FRAMES: usize = 30;
 /// Most bytes of depth held in memory.
@@ -91,6 +97,9 @@ struct Results {
     /// Model and encode together.
     cold_ms: Times,
     warm_ms: Times,
+    /// Where there is more than one thread.
+    throughput: Option<Throughput>,
+    profile_ms: Profile,
     rss_mb: f64,
     loaded_mb: f64,
     threads: usize,
@@ -114,6 +123,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(bar) = bar {
         bar.finish_and_clear();
     }
+    let throughput = throughput::measure(&camera, &engine, &frames, args.frames, &stop)?;
     let loaded: usize = frames.iter().map(|f| f.depth.len() * 2).sum();
     let per_frame = |sum: u64| sum as f64 / warm.frames.max(1) as f64;
     let share = |part: u64, of: u64| {
@@ -155,6 +165,8 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
         },
         cold_ms: (&cold.both).into(),
         warm_ms: (&warm.both).into(),
+        throughput,
+        profile_ms: warm.passes.profile(&warm.model, &warm.encode, &warm.decode),
         rss_mb: machine::resident_mb(),
         loaded_mb: loaded as f64 * 1e-6,
         threads: engine.threads,
@@ -247,6 +259,7 @@ struct Warm {
     encode: Percentiles,
     decode: Percentiles,
     both: Percentiles,
+    passes: Passes,
     errors: Histogram<u64>,
     error_sum_mm: f64,
     error_max_mm: f64,
@@ -261,7 +274,7 @@ struct Warm {
 }
 
 impl Warm {
-    fn new() -> Result<Self, Failure> {
+    fn new(camera: &Camera) -> Result<Self, Failure> {
         let errors = Histogram::new_with_bounds(1, LARGEST_UM, 3)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         Ok(Self {
@@ -269,6 +282,7 @@ impl Warm {
             encode: Percentiles::new(),
             decode: Percentiles::new(),
             both: Percentiles::new(),
+            passes: Passes::new(camera),
             errors,
             error_sum_mm: 0.0,
             error_max_mm: 0.0,
@@ -311,7 +325,7 @@ fn warm(
     stop: &AtomicBool,
     progress: &dyn Fn(),
 ) -> Result<Warm, Failure> {
-    let mut warm = Warm::new()?;
+    let mut warm = Warm::new(camera)?;
     let validity = Validity::new(camera);
     let (mut model, encode) = engine::stages(camera, engine)?;
     let mut encode = encode.unsampled();
@@ -340,6 +354,7 @@ fn warm(
             .decode(&encoded.payload)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         let end = Monotonic.now_ns();
+        warm.passes.measure(frame, &encoded.payload)?;
         if n == 0 {
             continue;
         }
@@ -378,7 +393,7 @@ bits        {}
 error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
 warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
 cold ms     p50 {:.2}  p99 {:.2}
-memory MB   {:.1}, of which frames {:.1}
+{}{}memory MB   {:.1}, of which frames {:.1}
 ",
         r.camera,
         r.width,
@@ -408,6 +423,10 @@ memory MB   {:.1}, of which frames {:.1}
         r.decode_ms.p50,
         r.cold_ms.p50,
         r.cold_ms.p99,
+        r.profile_ms.line(),
+        r.throughput
+            .as_ref()
+            .map_or(String::new(), Throughput::line),
         r.rss_mb,
         r.loaded_mb,
     )
