@@ -404,6 +404,7 @@ fn synthesize_bench_and_trace() {
         "/rss_mb",
         "/threads",
         "/cold_ms/p50",
+        "/cut_ms/p50",
         "/warm_ms/p50",
         "/throughput/fps",
         "/throughput/speed_up",
