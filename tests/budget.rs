@@ -18,7 +18,7 @@ use saint_live::pipeline::clock::Clock;
 use saint_live::pipeline::packet::{CodingReport, FrameRecord, ModelReport, Packet};
 use saint_live::pipeline::report::Report;
 use saint_live::pipeline::stages::{Encode, Model, Sink};
-use saint_live::pipeline::{self, Options, Pace, StageError, Stages};
+use saint_live::pipeline::{self, Options, Pace, Priority, StageError, Stages};
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::time::Duration;
 
@@ -133,6 +133,8 @@ fn run(scene: &str, piece_ns: Piece<'_>, late: Late) -> (Vec<FrameRecord>, Repor
     let mut sink = Keep::default();
     let options = Options {
         threads: 1,
+        model_threads: 1,
+        priority: Priority::Usual,
         pace: Pace::Realtime,
         budget: Budget::one_period(Some(FPS), late),
         frames: None,

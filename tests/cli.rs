@@ -226,6 +226,58 @@ fn threads_do_not_change_the_recording() {
     );
 }
 
+/// The statistics of a short run that asks for priority, as the user `setpriv` makes of us.
+fn prioritised(path: &Path, setpriv: Option<&[&str]>) -> Option<String> {
+    let binary = assert_cmd::cargo::cargo_bin("saint-live");
+    let mut command = match setpriv {
+        Some(rights) => {
+            let mut command = std::process::Command::new("setpriv");
+            command.args(rights).arg(binary);
+            command
+        }
+        None => std::process::Command::new(binary),
+    };
+    let output = command
+        .args(["--device", &camera(12), "--realtime-priority", "-q"])
+        .args(["--threads", "3", "--stats", "json", "-o"])
+        .arg(path)
+        .output()
+        .ok()?;
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success() || setpriv.is_some(), "{said}");
+    let last = String::from_utf8(output.stdout).ok()?;
+    let last = json(last.lines().last()?);
+    assert_eq!(last["frames"], 12, "{last}");
+    Some(last["priority"].as_str().unwrap().to_owned())
+}
+
+#[test]
+fn priority_is_harmless_with_and_without_the_right_to_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = folder.path().join("with.mcap");
+    let got = prioritised(&with, None).unwrap();
+    assert!(["usual", "nice", "realtime"].contains(&&*got), "{got}");
+    let plain = folder.path().join("plain.mcap");
+    record(&plain, 12);
+    let payloads = |path: &Path| {
+        let mut reader = saint_live::recording::RecordingReader::open(path).unwrap();
+        let mut frame = saint_live::codec::EncodedFrame::default();
+        let mut all = Vec::new();
+        while reader.next_frame(&mut frame).unwrap() {
+            all.push(frame.payload.clone());
+        }
+        all
+    };
+    assert!(payloads(&with) == payloads(&plain), "payloads differ");
+    // the same user without the capability, where that can be had
+    let bare = folder.path().join("bare.mcap");
+    let rights = ["--bounding-set=-sys_nice", "--inh-caps=-sys_nice", "--"];
+    match prioritised(&bare, Some(&rights)) {
+        Some(got) => assert!(got == "usual" || got == "nice", "{got}"),
+        None => eprintln!("skipped: setpriv cannot take the capability away here"),
+    }
+}
+
 #[test]
 fn a_recording_goes_to_standard_output() {
     let folder = tempfile::tempdir().unwrap();
@@ -333,7 +385,7 @@ fn synthesize_bench_and_trace() {
     run(["synthesize", "room,size=80x60", "-o", scene, "-n", "4"], 0);
     assert_eq!(std::fs::read_dir(scene).unwrap().count(), 4);
     run(["synthesize", "room,size=80x60", "-o", scene, "-n", "4"], 2);
-    let (bench, _) = run(["bench", scene, "--json", "-n", "6"], 0);
+    let (bench, _) = run(["bench", scene, "--json", "-n", "6", "--threads", "2"], 0);
     let bench = json(&bench);
     for key in [
         "/frames",
@@ -352,7 +404,10 @@ fn synthesize_bench_and_trace() {
         "/rss_mb",
         "/threads",
         "/cold_ms/p50",
+        "/cut_ms/p50",
         "/warm_ms/p50",
+        "/throughput/fps",
+        "/throughput/speed_up",
         "/machine/cpu",
         "/version",
     ] {

@@ -178,6 +178,27 @@ fn a_smoothed_mask_counts_what_it_changes() {
             lost += u32::from(measured && *z == 0.0);
             invented += u32::from(!measured && *z != 0.0);
         }
+        // what is invented stands beside what was measured, not in the air
+        let (width, unit) = (camera.width as usize, camera.depth_unit_m as f32);
+        for (i, z) in decoded.depth_m.iter().enumerate() {
+            let (x, y) = (i % width, i / width);
+            if *z == 0.0 || !camera.invalid.contains(&frame.depth[i]) {
+                continue;
+            }
+            let rows = y.saturating_sub(8)..(y + 9).min(camera.height as usize);
+            let square = rows.flat_map(|y| {
+                (x.saturating_sub(8)..(x + 9).min(width)).map(move |x| y * width + x)
+            });
+            let measured = square
+                .map(|i| frame.depth[i])
+                .filter(|raw| !camera.invalid.contains(raw))
+                .map(|raw| f32::from(raw) * unit);
+            let (near, far) = measured.fold((f32::MAX, 0f32), |r, z| (r.0.min(z), r.1.max(z)));
+            assert!(
+                (0.85 * near..1.15 * far).contains(z),
+                "{z} m at {x},{y} between {near} and {far} m"
+            );
+        }
         assert_eq!(
             (report.lost_pixels, report.invented_pixels),
             (lost, invented)

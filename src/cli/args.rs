@@ -212,6 +212,10 @@ pub struct StreamArgs {
     /// End with exit code 6 where the budget was missed: a frame late, degraded or dropped for it.
     #[arg(long)]
     pub strict: bool,
+    /// Ask the system to run the stages' threads before other programs: the round-robin real-time
+    /// class, else a better nice value, else as they are. What was got is in --stats json.
+    #[arg(long)]
+    pub realtime_priority: bool,
 }
 
 /// Output, limits and statistics of every stream, modelled or raw.

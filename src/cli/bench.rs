@@ -1,8 +1,9 @@
 //! `bench`: quality, size and time on recorded frames held in memory.
 //!
-//! *Cold*: every frame by a modeler and an encoder that have seen nothing (a scene cut). *Warm*:
-//! the steady state, frame after frame; a short input is played forth and back, so that motion
-//! stays continuous. Times are of one frame from the first to the last stage, without queues.
+//! *Cold*: every frame by a modeler and an encoder that have seen nothing. *Cut*: every frame after
+//! one of another scene. *Warm*: the steady state, frame after frame; a short input is played forth
+//! and back, so that motion stays continuous. Times are of one frame from the first to the last
+//! stage, without queues.
 
 use super::args::{BenchArgs, MapArgs};
 use super::engine::{self, Engine};
@@ -21,6 +22,12 @@ use saint_live::pipeline::percentiles::Percentiles;
 use saint_live::pipeline::stages::Encode;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+mod profile;
+mod throughput;
+
+use profile::{Passes, Profile};
+use throughput::Throughput;
 
 /// Most frames measured cold.
 const COLD_FRAMES: usize = 30;
@@ -90,7 +97,12 @@ struct Results {
     stage_ms: StageTimes,
     /// Model and encode together.
     cold_ms: Times,
+    /// The same after a scene cut.
+    cut_ms: Times,
     warm_ms: Times,
+    /// Where there is more than one thread.
+    throughput: Option<Throughput>,
+    profile_ms: Profile,
     rss_mb: f64,
     loaded_mb: f64,
     threads: usize,
@@ -114,6 +126,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(bar) = bar {
         bar.finish_and_clear();
     }
+    let throughput = throughput::measure(&camera, &engine, &frames, args.frames, &stop)?;
     let loaded: usize = frames.iter().map(|f| f.depth.len() * 2).sum();
     let per_frame = |sum: u64| sum as f64 / warm.frames.max(1) as f64;
     let share = |part: u64, of: u64| {
@@ -153,8 +166,11 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
             encode: (&warm.encode).into(),
             decode: (&warm.decode).into(),
         },
-        cold_ms: (&cold.both).into(),
+        cold_ms: (&cold.first).into(),
+        cut_ms: (&cold.cut).into(),
         warm_ms: (&warm.both).into(),
+        throughput,
+        profile_ms: warm.passes.profile(&warm.model, &warm.encode, &warm.decode),
         rss_mb: machine::resident_mb(),
         loaded_mb: loaded as f64 * 1e-6,
         threads: engine.threads,
@@ -204,9 +220,12 @@ fn load(args: &BenchArgs) -> Result<(Camera, Vec<DepthFrame>), Failure> {
     Ok((camera, frames))
 }
 
-/// What the cold frames gave.
+/// What frames gave that have nothing to go by.
 struct Cold {
-    both: Percentiles,
+    /// The first frame of a stream: buffers are taken, too.
+    first: Percentiles,
+    /// The first frame of another scene in a running stream.
+    cut: Percentiles,
     bytes: u64,
     points: u64,
 }
@@ -215,10 +234,11 @@ fn stage_failed(error: saint_live::pipeline::StageError) -> Failure {
     Failure::new(Kind::Failure, error)
 }
 
-/// Each frame by a modeler and an encoder that have seen nothing.
+/// Some of the frames out of nothing, and after a cut.
 fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold, Failure> {
     let mut cold = Cold {
-        both: Percentiles::new(),
+        first: Percentiles::new(),
+        cut: Percentiles::new(),
         bytes: 0,
         points: 0,
     };
@@ -227,16 +247,23 @@ fn cold(camera: &Camera, engine: &Engine, frames: &[DepthFrame]) -> Result<Cold,
     for frame in frames.iter().step_by(step) {
         let (mut model, encode) = engine::stages(camera, engine)?;
         let mut encode = encode.unsampled();
-        let start = Monotonic.now_ns();
-        let report = model
-            .model(frame, &mut saint, &|| false)
-            .map_err(stage_failed)?;
-        encode
-            .encode(frame, &saint, &report, &mut encoded)
-            .map_err(stage_failed)?;
-        cold.both.record_ns(Monotonic.now_ns() - start);
-        cold.bytes += encoded.payload.len() as u64;
-        cold.points += u64::from(report.points);
+        let mut pass = |frame: &DepthFrame, times: Option<&mut Percentiles>| {
+            let start = Monotonic.now_ns();
+            let report = model.model(frame, &mut saint, &|| false)?;
+            encode.encode(frame, &saint, &report, &mut encoded)?;
+            if let Some(times) = times {
+                times.record_ns(Monotonic.now_ns() - start);
+            }
+            Ok((encoded.payload.len() as u64, u64::from(report.points)))
+        };
+        let (bytes, points) = pass(frame, Some(&mut cold.first)).map_err(stage_failed)?;
+        cold.bytes += bytes;
+        cold.points += points;
+        // half a turn makes another scene of it
+        let mut turned = frame.clone();
+        turned.depth.reverse();
+        turned.sequence += 1;
+        pass(&turned, Some(&mut cold.cut)).map_err(stage_failed)?;
     }
     Ok(cold)
 }
@@ -247,6 +274,7 @@ struct Warm {
     encode: Percentiles,
     decode: Percentiles,
     both: Percentiles,
+    passes: Passes,
     errors: Histogram<u64>,
     error_sum_mm: f64,
     error_max_mm: f64,
@@ -261,7 +289,7 @@ struct Warm {
 }
 
 impl Warm {
-    fn new() -> Result<Self, Failure> {
+    fn new(camera: &Camera) -> Result<Self, Failure> {
         let errors = Histogram::new_with_bounds(1, LARGEST_UM, 3)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         Ok(Self {
@@ -269,6 +297,7 @@ impl Warm {
             encode: Percentiles::new(),
             decode: Percentiles::new(),
             both: Percentiles::new(),
+            passes: Passes::new(camera),
             errors,
             error_sum_mm: 0.0,
             error_max_mm: 0.0,
@@ -311,7 +340,7 @@ fn warm(
     stop: &AtomicBool,
     progress: &dyn Fn(),
 ) -> Result<Warm, Failure> {
-    let mut warm = Warm::new()?;
+    let mut warm = Warm::new(camera)?;
     let validity = Validity::new(camera);
     let (mut model, encode) = engine::stages(camera, engine)?;
     let mut encode = encode.unsampled();
@@ -340,6 +369,7 @@ fn warm(
             .decode(&encoded.payload)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         let end = Monotonic.now_ns();
+        warm.passes.measure(frame, &encoded.payload)?;
         if n == 0 {
             continue;
         }
@@ -377,8 +407,8 @@ size        {:.4} bits per valid pixel ({:.0} bytes a frame); key frames {:.4}
 bits        {}
 error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
 warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
-cold ms     p50 {:.2}  p99 {:.2}
-memory MB   {:.1}, of which frames {:.1}
+cold ms     p50 {:.2}  p99 {:.2}   (scene cut: p50 {:.2}  p99 {:.2})
+{}{}memory MB   {:.1}, of which frames {:.1}
 ",
         r.camera,
         r.width,
@@ -408,6 +438,12 @@ memory MB   {:.1}, of which frames {:.1}
         r.decode_ms.p50,
         r.cold_ms.p50,
         r.cold_ms.p99,
+        r.cut_ms.p50,
+        r.cut_ms.p99,
+        r.profile_ms.line(),
+        r.throughput
+            .as_ref()
+            .map_or(String::new(), Throughput::line),
         r.rss_mb,
         r.loaded_mb,
     )

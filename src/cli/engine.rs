@@ -176,30 +176,35 @@ impl Engine {
         })
     }
 
-    /// Starts the worker threads of the model stage. Once per process. One thread is the caller's
-    /// own.
+    /// Threads the model stage of one of `cameras` works with. Encode keeps a core busy by itself,
+    /// so that on two cores more than one would only take turns with it; the paper's own schemes
+    /// take so long that encode does not count.
+    pub fn model_threads(&self, cameras: usize) -> usize {
+        let share = self.threads / cameras.max(1);
+        let beside = usize::from(matches!(self.fit, Fit::Live(_)));
+        share.saturating_sub(beside).max(1)
+    }
+
+    /// Makes the calling thread a pool of one worker; where it is in one already, that stays.
+    pub fn own_worker() -> Option<rayon::ThreadPool> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1);
+        pool.use_current_thread().build().ok()
+    }
+
+    /// Makes the calling thread the first worker of the process's common pool. Once per process.
     pub fn start_workers(&self) -> Result<(), Failure> {
-        self.start_pool(self.threads == 1)
-    }
-
-    /// Starts the worker threads that the model stages of several cameras share.
-    pub fn start_shared_workers(&self) -> Result<(), Failure> {
-        self.start_pool(false)
-    }
-
-    fn start_pool(&self, callers_own: bool) -> Result<(), Failure> {
-        let mut pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(self.threads)
-            .thread_name(|n| format!("model-{n}"));
-        if callers_own {
-            pool = pool.use_current_thread();
-        }
-        pool.build_global().map_err(|error| {
-            Failure::new(
-                Kind::Failure,
-                format_args!("cannot start {} threads: {error}", self.threads),
-            )
-        })
+        let workers = self.model_threads(1);
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(workers)
+            .thread_name(|n| format!("model-{n}"))
+            .use_current_thread()
+            .build_global()
+            .map_err(|error| {
+                Failure::new(
+                    Kind::Failure,
+                    format_args!("cannot start {workers} threads: {error}"),
+                )
+            })
     }
 
     /// The facts a recording keeps about how it was made.

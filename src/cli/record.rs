@@ -20,7 +20,7 @@ use saint_live::pipeline::clock::Monotonic;
 use saint_live::pipeline::color::ColorSource;
 use saint_live::pipeline::packet::{CodingReport, ModelReport, Packet};
 use saint_live::pipeline::stages::{Encode, Model, Sink};
-use saint_live::pipeline::{self, Options, Pace, StageError, Stages};
+use saint_live::pipeline::{self, Options, Pace, Priority, StageError, Stages};
 use saint_live::recording::RecordingError;
 use saint_live::recording::raw::{RawSummary, RawWriter, image_message};
 use std::fs::{self, File};
@@ -53,6 +53,8 @@ pub fn run(args: &RecordArgs, quiet: bool) -> Result<(), Failure> {
     };
     let options = Options {
         threads: 2,
+        model_threads: 0,
+        priority: Priority::Usual,
         pace,
         budget: Budget::UNLIMITED,
         frames: args.run.frames,

@@ -15,7 +15,7 @@ use saint_live::pipeline::color::ColorSource;
 use saint_live::pipeline::recorder::Recorder;
 use saint_live::pipeline::report::Report;
 use saint_live::pipeline::trace::Trace;
-use saint_live::pipeline::{self, Options, Pace, Stages};
+use saint_live::pipeline::{self, Options, Pace, Priority, Stages};
 use saint_live::rig::{COLOR_CAMERA_NOTE, ColorCamera};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -140,10 +140,16 @@ impl<'a> Run<'a> {
         notes
     }
 
-    /// The pipeline's options for a camera.
-    fn options(&self, camera: &Camera, pace: Pace) -> Options {
+    /// The pipeline's options for one of so many cameras.
+    fn options(&self, camera: &Camera, pace: Pace, cameras: usize) -> Options {
         Options {
             threads: self.engine.threads,
+            model_threads: self.engine.model_threads(cameras),
+            priority: if self.stream.realtime_priority {
+                Priority::Realtime
+            } else {
+                Priority::Usual
+            },
             pace,
             budget: self.budget(camera, pace),
             frames: self.stream.run.frames,
@@ -181,11 +187,14 @@ impl<'a> Run<'a> {
         if !self.quiet {
             source::introduce(source);
         }
-        self.engine.start_workers()?;
+        if self.engine.threads == 1 {
+            // everything is computed here
+            self.engine.start_workers()?;
+        }
         let (mut model, mut encode) = engine::stages(&camera, &self.engine)?;
         let mut output = sink::open(self.stream, &camera, self.all_notes(source))?;
         let trace = trace(&self.stream.run)?;
-        let options = self.options(&camera, pace);
+        let options = self.options(&camera, pace, 1);
         // a live stream has no end to measure progress by, unless one was set
         let expected = match (source.len_hint(), self.stream.run.frames) {
             (Some(hint), Some(most)) => Some(hint.min(most)),

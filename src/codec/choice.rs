@@ -4,7 +4,7 @@
 //! boundary between two spheres that both explain the noise runs where it costs least.
 
 use super::label_map::Choice;
-use super::mask::QUAD;
+use super::mask::{QUAD, extent};
 use super::surface::{BEYOND, Depths, packed};
 use crate::contact_map::assign::PALETTE;
 use crate::contact_map::contact::Reach;
@@ -17,6 +17,9 @@ pub(super) const MISS_COST: u16 = 12 * 16;
 /// Bits that dividing a quad costs beyond saying so, in 1/16 bit: at all, and for each pixel.
 const DIVISION_COST: u32 = 6 * 16;
 const DIVISION_PIXEL_COST: u32 = 4;
+
+/// An invented pixel may be by so much nearer or farther than all that was measured in its block.
+const ASIDE: f32 = 0.1;
 
 /// Added to a small number, its integer stands in the low bits.
 const WHOLE: f32 = 8_388_608.0;
@@ -75,7 +78,7 @@ impl Errors<'_> {
     /// hold no measurement any.
     #[inline(always)]
     fn missed(&self, rays: &Rays, k: usize, depths: &Depths) -> u64 {
-        let (x0, y0, ..) = super::mask::extent(rays, k);
+        let (x0, y0, ..) = extent(rays, k);
         let mut cells = [0u8; BLOCK * BLOCK];
         let Some(u) = rays.u[x0..].first_chunk::<BLOCK>() else {
             return u64::MAX;
@@ -108,6 +111,9 @@ pub(super) struct Cheapest<'a> {
     rays: &'a Rays,
     errors: Errors<'a>,
     measured: &'a [u64],
+    /// Pixels that the payload has and the sensor has not: any depth near those around will do. None
+    /// where it is empty.
+    invented: &'a [u64],
     /// Touching pixels of each block.
     hits: &'a mut [u64],
     /// Of the block at hand, by palette entry: prices, and the pixels whose price is a miss's.
@@ -120,18 +126,56 @@ impl<'a> Cheapest<'a> {
     pub fn new(
         rays: &'a Rays,
         errors: Errors<'a>,
-        measured: &'a [u64],
+        (measured, invented): (&'a [u64], &'a [u64]),
         hits: &'a mut [u64],
     ) -> Self {
         Self {
             rays,
             errors,
             measured,
+            invented,
             hits,
             prices: [[0; BLOCK * BLOCK]; PALETTE],
             missed: [0; PALETTE],
         }
     }
+}
+
+impl Cheapest<'_> {
+    /// Invented pixels of block `k` cost nothing and miss nothing where a sphere is about as far away
+    /// as what was measured in the block.
+    #[inline(always)]
+    fn forgive(&mut self, k: usize, depths: &[Depths]) {
+        let invented = self.invented.get(k).copied().unwrap_or(0);
+        if invented == 0 {
+            return;
+        }
+        let (x0, y0, ..) = extent(self.rays, k);
+        let (mut near, mut far) = (u16::MAX, 0);
+        for i in bits(self.measured[k] & !invented) {
+            let raw = self.errors.plane[(y0 + i / BLOCK) * self.rays.stride() + x0 + i % BLOCK];
+            (near, far) = (near.min(raw), far.max(raw));
+        }
+        let near = f32::from(near) * (1.0 - ASIDE);
+        let far = (f32::from(far) * (1.0 + ASIDE)).min(BEYOND);
+        for i in bits(invented) {
+            for (e, depths) in depths.iter().enumerate() {
+                if near <= depths[i] && depths[i] < far {
+                    self.prices[e][i] = 0;
+                    self.missed[e] &= !(1 << i);
+                }
+            }
+        }
+    }
+}
+
+/// The numbers of the bits that are set, lowest first.
+fn bits(mut set: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let bit = (set != 0).then(|| set.trailing_zeros() as usize)?;
+        set &= set - 1;
+        Some(bit)
+    })
 }
 
 impl Choice for Cheapest<'_> {
@@ -141,6 +185,7 @@ impl Choice for Cheapest<'_> {
         if let ([_], [depths, ..]) = (palette, depths) {
             // nothing to choose from: no price is asked for
             self.missed[0] = self.errors.missed(self.rays, k, depths);
+            self.forgive(k, std::slice::from_ref(depths));
             return;
         }
         let lists = self.prices.iter_mut().zip(&mut self.missed);
@@ -152,6 +197,7 @@ impl Choice for Cheapest<'_> {
             }
             *missed = packed(&cells);
         }
+        self.forgive(k, &depths[..palette.len()]);
     }
 
     #[inline(always)]

@@ -270,7 +270,8 @@ fn read_sections(
         return Ok(());
     }
     let mut coder = RangeDecoder::new(sections[2]);
-    state.code_pixels(&mut coder, rays, reach, (key, motion), &[], &mut AsRead);
+    state.code_mask(&mut coder, rays, (key, motion), (&[], mask::EXACT));
+    state.code_labels(&mut coder, rays, reach, key, &mut AsRead);
     overrun(&coder)
 }
 

@@ -118,9 +118,14 @@ pub struct Encoder {
     state: State,
     plane: Vec<u16>,
     scratch: Vec<u16>,
-    /// Measured pixels of each block, and those of them that touch the sphere they got.
+    /// Pixels of each block that the payload calls measured, and those of them that touch the sphere
+    /// they got.
     measured: Vec<u64>,
     hits: Vec<u64>,
+    /// Where the mask may differ: pixels of each block that the sensor measured, and those that it did
+    /// not and the payload has.
+    truth: Vec<u64>,
+    invented: Vec<u64>,
     /// Number of blocks each model slot is in.
     blocks: Vec<u32>,
     /// Model slot to sphere number, and the surface as the model last gave it.
@@ -172,6 +177,8 @@ impl Encoder {
             scratch: Vec::new(),
             measured: Vec::new(),
             hits: Vec::new(),
+            truth: Vec::new(),
+            invented: Vec::new(),
             blocks: Vec::with_capacity(room),
             numbers: Vec::with_capacity(room),
             slots: Vec::with_capacity(room),
@@ -298,12 +305,13 @@ impl Encoder {
             valid_pixels: self.validity.clean(&self.rays, frame, &mut self.plane) as u32,
             ..Default::default()
         };
-        if self.options.smooth_mask && !self.options.tolerance.lossless {
-            let past = (!key).then_some(&self.state.before.mask.pixels);
-            let changed = mask_choice::smooth(&self.rays, &mut self.plane, past, &mut self.scratch);
-            (report.lost_pixels, report.invented_pixels) = (changed.lost, changed.invented);
-        }
         mask::measure(&self.rays, &self.plane, &mut self.measured);
+        if self.smooths() {
+            self.truth.clone_from(&self.measured);
+            let past = (!key).then_some(&self.state.before.mask.pixels);
+            mask_choice::smooth(&self.rays, &mut self.plane, past, &mut self.scratch);
+            mask::measure(&self.rays, &self.plane, &mut self.measured);
+        }
         self.hits.clear();
         self.hits.resize(self.rays.blocks(), 0);
         self.choose_palettes(saint);
@@ -314,7 +322,7 @@ impl Encoder {
         self.code_blocks(key)?;
         self.code_spheres(saint, &mut report);
         let motion = if key { Motion::default() } else { saint.motion };
-        self.code_pixels(key, &motion);
+        self.code_pixels(key, &motion, &mut report);
         self.choose_kinds(&mut report);
         self.code_residuals(key)?;
 
@@ -364,7 +372,10 @@ impl Encoder {
         self.blocks.clear();
         self.blocks.resize(saint.spheres.len(), 0);
         for (k, &measured) in self.measured.iter().enumerate() {
-            let (palette, size) = palette_choice::gather(saint, &self.rays, k, measured);
+            // what was not measured has no label
+            let known = self.truth.get(k).map_or(measured, |t| measured & t);
+            let known = if known == 0 { measured } else { known };
+            let (palette, size) = palette_choice::gather(saint, &self.rays, k, known);
             for &slot in &palette[..usize::from(size)] {
                 if let Some(n) = self.blocks.get_mut(usize::from(slot)) {
                     *n += 1;
@@ -440,23 +451,38 @@ impl Encoder {
         Ok(())
     }
 
-    fn code_pixels(&mut self, key: bool, motion: &Motion) {
+    /// True where the mask may differ from the sensor's.
+    fn smooths(&self) -> bool {
+        self.options.smooth_mask && !self.options.tolerance.lossless
+    }
+
+    fn code_pixels(&mut self, key: bool, motion: &Motion, report: &mut EncodeReport) {
+        let smooths = self.smooths();
+        let patience = if smooths {
+            mask_choice::PATIENCE
+        } else {
+            mask::EXACT
+        };
         let mut coder = RangeEncoder::new(&mut self.sections[2]);
-        let (rays, reach, measured) = (&self.rays, &self.reach, &self.measured);
+        let wanted = (&self.measured[..], patience);
+        self.state
+            .code_mask(&mut coder, &self.rays, (key, motion), wanted);
+        if smooths {
+            let decided = (&self.state.now.mask, &self.truth[..]);
+            let (measured, invented) = (&mut self.measured, &mut self.invented);
+            let changed =
+                mask_choice::settle(&self.rays, decided, &mut self.plane, measured, invented);
+            (report.lost_pixels, report.invented_pixels) = (changed.lost, changed.invented);
+        }
         let errors = Errors {
             plane: &self.plane,
-            reach,
+            reach: &self.reach,
             contact: &self.contact,
         };
-        let mut choice = Cheapest::new(rays, errors, measured, &mut self.hits);
-        self.state.code_pixels(
-            &mut coder,
-            rays,
-            reach,
-            (key, motion),
-            measured,
-            &mut choice,
-        );
+        let pixels = (&self.measured[..], &self.invented[..]);
+        let mut choice = Cheapest::new(&self.rays, errors, pixels, &mut self.hits);
+        self.state
+            .code_labels(&mut coder, &self.rays, &self.reach, key, &mut choice);
         coder.finish();
     }
 

@@ -150,14 +150,44 @@ impl State {
         )
     }
 
-    /// Section *pixels*: mask and labels. Predicted depths come with them.
-    pub fn code_pixels<C: Coder, W: Choice>(
+    /// Section *pixels*, first half: the mask. `wanted`: measured pixels of each block, of which some
+    /// may go another way where that saves `patience` (see [`mask::code_pixels`]; both not used to
+    /// decode).
+    pub fn code_mask<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        rays: &Rays,
+        (key, motion): (bool, &Motion),
+        (wanted, patience): (&[u64], u32),
+    ) {
+        let State {
+            models,
+            now,
+            before,
+            shifts,
+            mask_bits,
+            ..
+        } = self;
+        let stride = now.mask.pixels.stride();
+        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
+        let past = (!key).then_some(Past {
+            cells: before.mask.pixels.cells(),
+            shifts,
+        });
+        let models = &mut models.mask;
+        let start = coder.written();
+        mask::code_quads(coder, models, rays, &mut now.mask, past, wanted);
+        mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, patience);
+        mask_bits[1] = coder.written() - start;
+    }
+
+    /// Section *pixels*, second half: labels. Predicted depths come with them.
+    pub fn code_labels<C: Coder, W: Choice>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
         reach: &Reach,
-        (key, motion): (bool, &Motion),
-        wanted: &[u64],
+        key: bool,
         choice: &mut W,
     ) {
         let State {
@@ -166,23 +196,12 @@ impl State {
             before,
             predicted,
             shifts,
-            mask_bits,
             ..
         } = self;
-        let stride = now.mask.pixels.stride();
-        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
-        let masks = (!key).then_some(Past {
-            cells: before.mask.pixels.cells(),
-            shifts,
-        });
-        let labels = (!key).then_some(Past {
+        let past = (!key).then_some(Past {
             cells: before.map.pixels.cells(),
             shifts,
         });
-        let start = coder.written();
-        mask::code_quads(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
-        mask::code_pixels(coder, &mut models.mask, rays, &mut now.mask, masks, wanted);
-        mask_bits[1] = coder.written() - start;
         label_map::code(
             coder,
             &mut models.labels,
@@ -190,7 +209,7 @@ impl State {
             reach,
             &now.mask,
             &mut now.map,
-            labels,
+            past,
             &Surfaces(&now.entries),
             predicted,
             choice,

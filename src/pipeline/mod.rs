@@ -40,12 +40,14 @@ pub mod recorder;
 pub mod report;
 pub mod stages;
 pub mod statistics;
+mod threads;
 pub mod trace;
 
 #[cfg(test)]
 mod tests;
 
 pub use error::{PipelineError, Stage, StageError};
+pub use threads::Priority;
 
 use crate::capture::{CaptureError, FrameSource};
 use alone::Rest;
@@ -58,7 +60,7 @@ use intake::{Intake, Taken};
 use mailbox::mailbox;
 use packet::Packet;
 use report::Report;
-use stages::{Encode, Model, Shared, Sink, locked};
+use stages::{Encode, Model, Shared, Sink};
 use statistics::DropCause;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{Scope, ScopedJoinHandle};
@@ -102,6 +104,11 @@ pub struct Options {
     /// 1 runs every stage in the caller's thread (but capture of a live camera), more gives each
     /// stage its own.
     pub threads: usize,
+    /// Threads the model stage works with where it has a thread of its own, that one included; 0
+    /// leaves its work to the process's common pool.
+    pub model_threads: usize,
+    /// Priority to ask for; what the caller's thread computes keeps the caller's.
+    pub priority: Priority,
     /// How frames are taken.
     pub pace: Pace,
     /// Latency budget and what to do about late frames.
@@ -152,13 +159,13 @@ impl Meter<'_, '_> {
     /// The run so far.
     #[must_use]
     pub fn total(&self) -> Report {
-        locked(&self.0.statistics).total(self.0.clock.now_ns())
+        self.0.total()
     }
 
     /// The time since this was last called, which begins anew.
     #[must_use]
     pub fn interval(&self) -> Report {
-        locked(&self.0.statistics).interval(self.0.clock.now_ns())
+        self.0.interval()
     }
 }
 
@@ -180,8 +187,7 @@ pub fn run(
         sink,
         trace,
     } = stages;
-    let age_from_model = options.pace == Pace::Block;
-    let shared = Shared::new(clock, stop, options.budget, age_from_model, trace);
+    let shared = Shared::new(clock, stop, options, trace);
     let done = AtomicBool::new(false);
     let color = std::thread::scope(|scope| {
         let (shared, done) = (&shared, &done);
@@ -206,12 +212,14 @@ pub fn run(
         match (alone, options.pace) {
             (true, Pace::Live) => alone::run_beside_capture(scope, intake, rest, shared, observe),
             (true, _) => alone::run_in_one_thread(intake, rest, shared, observe),
-            (false, _) => run_in_threads(scope, intake, rest, shared, observe),
+            (false, _) => {
+                run_in_threads(scope, intake, rest, options.model_threads, shared, observe);
+            }
         }
         color.and_then(|thread| join(thread, Stage::Color, shared).flatten())
     });
     shared.finish_trace();
-    let report = locked(&shared.statistics).total(clock.now_ns());
+    let report = shared.total();
     Outcome {
         report,
         result: shared.take_failure().map_or(Ok(()), Err),
@@ -232,6 +240,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
     scope: &'scope Scope<'scope, 'env>,
     intake: Intake<'env>,
     rest: Rest<'scope>,
+    model_threads: usize,
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
@@ -273,6 +282,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         }
     });
     let model = spawn(scope, Stage::Model, shared, move || {
+        let _workers = threads::workers(model_threads);
         while let Some(mut packet) = captured.take() {
             let next = if shared.model_step(model, &mut packet) {
                 &modelled_tx
@@ -404,12 +414,15 @@ impl Colors<'_> {
 fn spawn<'scope, 'env, T: Send + 'scope>(
     scope: &'scope Scope<'scope, 'env>,
     stage: Stage,
-    shared: &Shared<'_>,
+    shared: &'scope Shared<'_>,
     work: impl FnOnce() -> T + Send + 'scope,
 ) -> Option<ScopedJoinHandle<'scope, T>> {
     std::thread::Builder::new()
         .name(stage.name().to_owned())
-        .spawn_scoped(scope, work)
+        .spawn_scoped(scope, move || {
+            shared.schedule.enter(stage);
+            work()
+        })
         .map_err(|source| shared.fail(stage, PipelineError::Spawn { stage, source }))
         .ok()
 }

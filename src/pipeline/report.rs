@@ -1,5 +1,6 @@
 //! Statistics ready to be shown: as JSON (serde) or as a line of CSV.
 
+use super::Priority;
 use super::packet::Residual;
 use super::percentiles::Summary;
 use super::statistics::Drops;
@@ -71,6 +72,9 @@ pub struct Report {
     pub color_frames: u64,
     /// Colour images given up because the output was busy.
     pub color_dropped: u64,
+    /// The priority every thread got, where one was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub priority: Option<Priority>,
 }
 
 impl Report {

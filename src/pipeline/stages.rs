@@ -8,8 +8,11 @@ use super::budget::{Budget, CostModel, Decision, WorkLeft, decide};
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
 use super::packet::{CodingReport, ModelReport, Packet, Span};
+use super::report::Report;
 use super::statistics::{DropCause, Drops, Statistics};
+use super::threads::Schedule;
 use super::trace::Trace;
+use super::{Options, Pace};
 use crate::codec::EncodedFrame;
 use crate::contact_map::labels::SaintFrame;
 use crate::frame::{ColorFrame, DepthFrame};
@@ -114,6 +117,7 @@ pub(super) struct Shared<'a> {
     failing: AtomicBool,
     failure: Mutex<Option<(Stage, PipelineError)>>,
     costs: Mutex<Costs>,
+    pub(super) schedule: Schedule,
     trace: Mutex<Option<Trace>>,
 }
 
@@ -130,20 +134,21 @@ impl<'a> Shared<'a> {
     pub(super) fn new(
         clock: &'a dyn Clock,
         stop: &'a AtomicBool,
-        budget: Budget,
-        age_from_model: bool,
+        options: &Options,
         trace: Option<Trace>,
     ) -> Self {
+        let budget = options.budget;
         let limit_ns = i64::try_from(budget.limit.as_nanos()).unwrap_or(i64::MAX);
         Self {
             clock,
             statistics: Mutex::new(Statistics::new(clock.now_ns(), limit_ns)),
             budget,
-            age_from_model,
+            age_from_model: options.pace == Pace::Block,
             stop,
             failing: AtomicBool::new(false),
             failure: Mutex::new(None),
             costs: Mutex::new(Costs::default()),
+            schedule: Schedule::new(options.priority),
             trace: Mutex::new(trace),
         }
     }
@@ -151,6 +156,22 @@ impl<'a> Shared<'a> {
     /// True when no more frames are to be taken from the source.
     pub(super) fn stopping(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || self.failing.load(Ordering::Relaxed)
+    }
+
+    /// The run so far.
+    pub(super) fn total(&self) -> Report {
+        Report {
+            priority: self.schedule.got(),
+            ..locked(&self.statistics).total(self.clock.now_ns())
+        }
+    }
+
+    /// The time since this was last called.
+    pub(super) fn interval(&self) -> Report {
+        Report {
+            priority: self.schedule.got(),
+            ..locked(&self.statistics).interval(self.clock.now_ns())
+        }
     }
 
     /// Keeps the first failure; the source then ends.

@@ -226,6 +226,7 @@ impl Totals {
             mbit_per_s: per(bits, frames) * rate * 1e-6,
             color_frames: self.color_frames,
             color_dropped: self.color_dropped,
+            priority: None,
         }
     }
 }

@@ -14,6 +14,8 @@ use std::sync::atomic::AtomicU64;
 fn options(threads: usize) -> Options {
     Options {
         threads,
+        model_threads: 0,
+        priority: Priority::Usual,
         pace: Pace::Block,
         budget: Budget::UNLIMITED,
         frames: None,

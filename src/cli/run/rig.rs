@@ -46,7 +46,6 @@ pub(super) fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
         let opened = open(args, camera, &engine, quiet);
         cameras.push(opened.map_err(|e| e.at(&format!("camera `{}`", camera.name)))?);
     }
-    engine.start_shared_workers()?;
     let streams: Vec<CameraStream> = cameras
         .iter()
         .map(|camera| CameraStream {
@@ -66,7 +65,11 @@ pub(super) fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
             .map(|(number, (camera, output))| {
                 let (board, stop) = (&board, &*stop);
                 let name = format!("camera-{number}");
-                let work = move || stream(camera, output, number, board, stop);
+                let work = move || {
+                    // with one thread a camera, all of it is computed here
+                    let _own = (camera.run.engine.threads == 1).then(Engine::own_worker);
+                    stream(camera, output, number, board, stop)
+                };
                 thread::Builder::new().name(name).spawn_scoped(scope, work)
             })
             .collect();
@@ -159,7 +162,7 @@ fn stream(
         sink: &mut output,
         trace: None,
     };
-    let options = run.options(&facts, pace);
+    let options = run.options(&facts, pace, board.names.len());
     let outcome = pipeline::run(stages, &options, &Monotonic, stop, &mut |meter| {
         board.set(number, meter.total());
         display.observe(meter, stop);
