@@ -7,9 +7,9 @@
 use super::{Geometry, Part, Scene};
 use crate::codec::polar::PolarCodecError;
 use crate::recording::{RecordingError, Target};
-use mcap::McapError;
 use mcap::read::{LinearReader, MessageStream, Options};
-use mcap::records::{MessageHeader, Record};
+use mcap::records::{MessageHeader, Record, op};
+use mcap::{MAGIC, McapError};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -25,6 +25,8 @@ pub const ENCODING: &str = "saint-live.model/1";
 pub const SCENE_TOPIC: &str = "scene";
 /// Bytes in front of a part's payload.
 const HEADER: usize = 8;
+/// Opcode and length of an MCAP record, bytes.
+const RECORD_PREFIX: usize = 9;
 /// Largest file that is read, bytes.
 const MAX_FILE: u64 = 8 << 30;
 
@@ -204,7 +206,8 @@ impl ModelFile {
             return Err(foreign(what.to_owned()));
         }
 
-        let messages = MessageStream::new_with_options(bytes, Options::IgnoreEndMagic.into());
+        let sound = before_ill_chunk(bytes);
+        let messages = MessageStream::new_with_options(sound, Options::IgnoreEndMagic.into());
         let messages = messages.map_err(|e| foreign(e.to_string()))?;
         let mut scene: Option<Scene> = None;
         let mut parts: Vec<Part> = Vec::new();
@@ -234,6 +237,12 @@ impl ModelFile {
                     }
                 }
             }
+        }
+        if sound.len() < bytes.len() {
+            let at = sound.len();
+            damage = Some(format!(
+                "the records of the chunk at byte {at} do not end with it"
+            ));
         }
         let Some(scene) = scene else {
             let why = damage.unwrap_or_else(|| "it holds no description".to_owned());
@@ -313,6 +322,48 @@ impl ModelFile {
             source,
         })
     }
+}
+
+/// The bytes before the first chunk whose records do not end with it: the reader of messages takes
+/// for granted that they do.
+fn before_ill_chunk(bytes: &[u8]) -> &[u8] {
+    let mut at = MAGIC.len();
+    while let Some((opcode, body)) = record(bytes, at) {
+        if opcode == op::CHUNK && !is_filled(body) {
+            return &bytes[..at];
+        }
+        at += RECORD_PREFIX + body.len();
+    }
+    bytes
+}
+
+/// Opcode and body of the record at a place.
+fn record(bytes: &[u8], at: usize) -> Option<(u8, &[u8])> {
+    let (opcode, behind) = bytes.get(at..)?.split_first()?;
+    let (length, behind) = behind.split_first_chunk()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    Some((*opcode, behind.get(..length)?))
+}
+
+/// Whether an uncompressed chunk holds whole records.
+fn is_filled(chunk: &[u8]) -> bool {
+    // two times, size, checksum; then the compression's name, the bytes' number, the bytes
+    let Some((_, named)) = chunk.split_at_checked(28) else {
+        return false;
+    };
+    let Some((&[0, 0, 0, 0], stated)) = named.split_first_chunk() else {
+        // the reader of messages refuses compression
+        return true;
+    };
+    let Some((length, records)) = stated.split_first_chunk() else {
+        return false;
+    };
+    let length = u64::from_le_bytes(*length);
+    let mut at = 0;
+    while let Some((_, body)) = record(records, at) {
+        at += RECORD_PREFIX + body.len();
+    }
+    at == records.len() && at as u64 == length
 }
 
 /// The part that `message` holds and the description lists in this place.

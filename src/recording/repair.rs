@@ -140,8 +140,9 @@ struct Copy {
     part: Part,
     /// Name of the damaged file.
     origin: String,
-    /// Numbers in the new file, by topic.
-    channels: BTreeMap<String, u16>,
+    /// Numbers in the new file, by topic and whether frames are in them: a damaged description may
+    /// leave two channels of one topic.
+    channels: BTreeMap<(String, bool), u16>,
     cameras: BTreeMap<String, Progress>,
     /// As the `saint` channels describe them.
     known: BTreeMap<String, Camera>,
@@ -161,11 +162,13 @@ impl Copy {
     }
 
     fn channel(&mut self, channel: &Channel) -> Result<u16, RecordingError> {
-        if let Some(id) = self.channels.get(&channel.topic) {
+        let frames = channel.frames_of().is_some();
+        let place = (channel.topic.clone(), frames);
+        if let Some(id) = self.channels.get(&place) {
             return Ok(*id);
         }
         let mut metadata = channel.metadata.clone();
-        if channel.frames_of().is_some() {
+        if frames {
             metadata.insert("repaired_from".to_owned(), self.origin.clone());
         }
         let schema = &channel.schema;
@@ -175,7 +178,7 @@ impl Copy {
             (&schema.name, &schema.encoding, &schema.text),
             &metadata,
         )?;
-        self.channels.insert(channel.topic.clone(), id);
+        self.channels.insert(place, id);
         Ok(id)
     }
 
@@ -231,13 +234,14 @@ impl Copy {
         if self.part.tally.channels.contains_key(&topic) {
             return Ok(());
         }
-        let (Some(facts), Some(channel)) = (self.known.get(camera), self.channels.get(&topic))
+        let place = (topic, false);
+        let (Some(facts), Some(channel)) = (self.known.get(camera), self.channels.get(&place))
         else {
             return Ok(());
         };
         self.part.put(&Message {
             channel: *channel,
-            topic: &topic,
+            topic: &place.0,
             sequence: 0,
             log_time: item.header.log_time,
             publish_time: item.header.publish_time,
