@@ -12,7 +12,7 @@ use super::report::Report;
 use super::statistics::{DropCause, Drops, Statistics};
 use super::threads::Schedule;
 use super::trace::Trace;
-use super::{Options, Pace};
+use super::{Options, Pace, Priority};
 use crate::codec::EncodedFrame;
 use crate::contact_map::labels::SaintFrame;
 use crate::frame::{ColorFrame, DepthFrame};
@@ -151,7 +151,10 @@ impl<'a> Shared<'a> {
             failing: AtomicBool::new(false),
             failure: Mutex::new(None),
             costs: Mutex::new(Costs::default()),
-            schedule: Schedule::new(options.priority),
+            schedule: Schedule::new(match options.threads {
+                0 | 1 => Priority::Usual,
+                _ => options.priority,
+            }),
             trace: Mutex::new(trace),
         }
     }
