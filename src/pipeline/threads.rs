@@ -145,15 +145,18 @@ mod tests {
 
     #[test]
     fn the_first_worker_is_the_thread_itself() {
-        let inside = std::thread::spawn(|| {
-            let pool = workers(2);
-            (
-                pool.is_some(),
-                rayon::current_num_threads(),
-                rayon::current_thread_index(),
-            )
+        let inside = std::thread::scope(|scope| {
+            let thread = scope.spawn(|| {
+                let pool = workers(2);
+                (
+                    pool.is_some(),
+                    rayon::current_num_threads(),
+                    rayon::current_thread_index(),
+                )
+            });
+            thread.join().unwrap()
         });
-        assert_eq!(inside.join().unwrap(), (true, 2, Some(0)));
+        assert_eq!(inside, (true, 2, Some(0)));
         assert!(workers(0).is_none());
     }
 }
