@@ -97,6 +97,10 @@ pub fn decide(elapsed: Duration, work: WorkLeft, budget: Budget) -> Decision {
 /// own (VGA noise 290 ns, walls and furniture 25 ns a pixel).
 const PLAIN: u64 = 10;
 
+/// Least share of the points, one in so many, that a frame must leave to be hurried: coded plainly
+/// they take sixteen bits each.
+const HURRIED_FROM: u64 = 8;
+
 /// The work of coding a frame of `pixels`, of which `left` are on no sphere.
 ///
 /// With it the cost of coding is learnt apart from how well the frame was modelled. Otherwise a fit
@@ -104,6 +108,13 @@ const PLAIN: u64 = 10;
 #[must_use]
 pub fn coding_work(pixels: u64, left: u64) -> u64 {
     pixels + PLAIN * left
+}
+
+/// True where a frame whose coding takes `work` of the `time` there is should be hurried: coded
+/// plainly where no sphere explains it. That saves time only where much is left, `left` of `points`.
+#[must_use]
+pub fn hurries(work: Duration, time: Duration, points: u32, left: u32) -> bool {
+    work > time && u64::from(left) * HURRIED_FROM > u64::from(points)
 }
 
 /// The pixels a whole fit is likely to leave, where the last one left `left` of `points`: few,
@@ -198,6 +209,14 @@ mod tests {
         };
         assert_eq!(decide(ms(6), work, budget), Decision::RunFor(ms(20)));
         assert_eq!(decide(ms(900), work, budget), Decision::RunFor(ms(4)));
+    }
+
+    #[test]
+    fn only_late_frames_that_leave_much_are_hurried() {
+        assert!(hurries(ms(80), ms(20), 1000, 900));
+        assert!(!hurries(ms(20), ms(20), 1000, 900));
+        assert!(!hurries(ms(80), ms(20), 1000, 100));
+        assert!(!hurries(ms(80), ms(20), 0, 0));
     }
 
     #[test]
