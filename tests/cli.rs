@@ -272,9 +272,9 @@ fn priority_is_harmless_with_and_without_the_right_to_it() {
     // the same user without the capability, where that can be had
     let bare = folder.path().join("bare.mcap");
     let rights = ["--bounding-set=-sys_nice", "--inh-caps=-sys_nice", "--"];
-    match prioritised(&bare, Some(&rights)) {
-        Some(got) => assert!(got == "usual" || got == "nice", "{got}"),
-        None => eprintln!("skipped: setpriv cannot take the capability away here"),
+    // skipped where `setpriv` is missing or may not take it away
+    if let Some(got) = prioritised(&bare, Some(&rights)) {
+        assert!(got == "usual" || got == "nice", "{got}");
     }
 }
 

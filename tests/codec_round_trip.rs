@@ -85,13 +85,17 @@ fn a_large_odd_size_keeps_mask_and_bound() {
     );
 }
 
+fn small_scene(chance: &mut Chance) -> ((u32, u32), Picture, ContactDistance) {
+    let size = (2 + chance.below(40) as u32, 2 + chance.below(30) as u32);
+    let picture = PICTURES[chance.below(8) as usize];
+    (size, picture, contacts()[chance.below(4) as usize])
+}
+
 #[test]
 fn random_small_frames_keep_mask_and_bound() {
     let mut chance = Chance(99);
     for seed in 0..150 {
-        let size = (2 + chance.below(40) as u32, 2 + chance.below(30) as u32);
-        let picture = PICTURES[chance.below(8) as usize];
-        let contact = contacts()[chance.below(4) as usize];
+        let (size, picture, contact) = small_scene(&mut chance);
         chain(size, picture, contact, chance.below(4) == 0, seed);
     }
 }
@@ -101,9 +105,7 @@ fn random_small_frames_keep_mask_and_bound() {
 fn a_bound_other_than_the_contact_distance_is_kept() {
     let mut chance = Chance(17);
     for seed in 0..120 {
-        let size = (2 + chance.below(40) as u32, 2 + chance.below(30) as u32);
-        let picture = PICTURES[chance.below(8) as usize];
-        let contact = contacts()[chance.below(4) as usize];
+        let (size, picture, contact) = small_scene(&mut chance);
         let mut with = CodecOptions::fitted(contact, 30);
         if chance.below(2) == 0 {
             with.tolerance.contact = contacts()[chance.below(4) as usize];

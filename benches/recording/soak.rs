@@ -9,7 +9,7 @@ use saint_live::pipeline::packet::Packet;
 use saint_live::pipeline::recorder::Recorder;
 use saint_live::pipeline::stages::Sink;
 use saint_live::pipeline::statistics::Drops;
-use saint_live::pipeline::{Options, Pace, StageError, Stages, run as run_pipeline};
+use saint_live::pipeline::{Options, Pace, Priority, StageError, Stages, run as run_pipeline};
 use saint_live::recording::{
     RecordingReader, RecordingWriter, Split, Target, WriterOptions, check,
 };
@@ -142,6 +142,8 @@ pub fn run(length: Duration) {
     };
     let options = Options {
         threads: 2,
+        model_threads: 0,
+        priority: Priority::Usual,
         pace: Pace::Realtime,
         budget: Budget {
             limit: Duration::from_millis(1000 / FPS),

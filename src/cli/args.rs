@@ -213,7 +213,7 @@ pub struct StreamArgs {
     #[arg(long)]
     pub strict: bool,
     /// Ask the system to run the stages' threads before other programs: the round-robin real-time
-    /// class, else a better nice value, else as they are. What was got is in --stats json.
+    /// class, else a better nice value, else as they are (--stats json says which). Not with one thread.
     #[arg(long)]
     pub realtime_priority: bool,
 }

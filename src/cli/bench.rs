@@ -20,14 +20,14 @@ use saint_live::frame::{Camera, DepthFrame};
 use saint_live::pipeline::clock::{Clock, Monotonic};
 use saint_live::pipeline::percentiles::Percentiles;
 use saint_live::pipeline::stages::Encode;
-use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 mod profile;
+mod results;
 mod throughput;
 
-use profile::{Passes, Profile};
-use throughput::Throughput;
+use profile::Passes;
+use results::{Errors, Results, StageTimes, table};
 
 /// Most frames measured cold.
 const COLD_FRAMES: usize = 30;
@@ -35,80 +35,6 @@ const COLD_FRAMES: usize = 30;
 const MAX_LOADED: usize = 1 << 30;
 /// Largest error told apart, µm.
 const LARGEST_UM: u64 = 100_000_000;
-
-/// Percentiles of a time, milliseconds.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct Times {
-    p50: f64,
-    p99: f64,
-}
-
-impl From<&Percentiles> for Times {
-    fn from(times: &Percentiles) -> Self {
-        let summary = times.summary();
-        Self {
-            p50: summary.p50,
-            p99: summary.p99,
-        }
-    }
-}
-
-#[derive(Debug, Serialize)]
-struct StageTimes {
-    model: Times,
-    encode: Times,
-    decode: Times,
-}
-
-#[derive(Debug, Serialize)]
-struct Errors {
-    mean: f64,
-    p95: f64,
-    p99: f64,
-    max: f64,
-}
-
-/// What the bench prints.
-#[derive(Debug, Serialize)]
-struct Results {
-    input: String,
-    camera: String,
-    width: u32,
-    height: u32,
-    /// Frames measured, and different frames among them.
-    frames: u64,
-    frames_loaded: usize,
-    points_per_frame: f64,
-    spheres_per_frame: f64,
-    /// Share of the points a sphere explains.
-    coverage: f64,
-    /// Share of the points that kept their sphere.
-    warm_points: f64,
-    /// Share of the points the output gives back.
-    points_kept: f64,
-    residual_mm: Errors,
-    bits_per_valid_px: f64,
-    bytes_per_frame: f64,
-    key_bits_per_valid_px: f64,
-    /// Bits of all frames measured, by what they say.
-    spent_bits: Spent,
-    encode_ms: Times,
-    decode_ms: Times,
-    stage_ms: StageTimes,
-    /// Model and encode together.
-    cold_ms: Times,
-    /// The same after a scene cut.
-    cut_ms: Times,
-    warm_ms: Times,
-    /// Where there is more than one thread.
-    throughput: Option<Throughput>,
-    profile_ms: Profile,
-    rss_mb: f64,
-    loaded_mb: f64,
-    threads: usize,
-    machine: Machine,
-    version: &'static str,
-}
 
 /// Runs the bench and prints its results.
 pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
@@ -125,6 +51,12 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
     })?;
     if let Some(bar) = bar {
         bar.finish_and_clear();
+    }
+    // what follows needs memory that a stream does not
+    let rss_mb = machine::resident_mb();
+    let mut passes = Passes::new(&camera);
+    for (n, payload) in (0..).zip(&warm.payloads) {
+        passes.measure(&frames[forth_and_back(n, frames.len())], payload)?;
     }
     let throughput = throughput::measure(&camera, &engine, &frames, args.frames, &stop)?;
     let loaded: usize = frames.iter().map(|f| f.depth.len() * 2).sum();
@@ -170,8 +102,8 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<(), Failure> {
         cut_ms: (&cold.cut).into(),
         warm_ms: (&warm.both).into(),
         throughput,
-        profile_ms: warm.passes.profile(&warm.model, &warm.encode, &warm.decode),
-        rss_mb: machine::resident_mb(),
+        profile_ms: passes.profile(&warm.model, &warm.encode, &warm.decode),
+        rss_mb,
         loaded_mb: loaded as f64 * 1e-6,
         threads: engine.threads,
         machine: Machine::this(),
@@ -274,7 +206,8 @@ struct Warm {
     encode: Percentiles,
     decode: Percentiles,
     both: Percentiles,
-    passes: Passes,
+    /// Of all frames, the first one too.
+    payloads: Vec<Vec<u8>>,
     errors: Histogram<u64>,
     error_sum_mm: f64,
     error_max_mm: f64,
@@ -289,7 +222,7 @@ struct Warm {
 }
 
 impl Warm {
-    fn new(camera: &Camera) -> Result<Self, Failure> {
+    fn new() -> Result<Self, Failure> {
         let errors = Histogram::new_with_bounds(1, LARGEST_UM, 3)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         Ok(Self {
@@ -297,7 +230,7 @@ impl Warm {
             encode: Percentiles::new(),
             decode: Percentiles::new(),
             both: Percentiles::new(),
-            passes: Passes::new(camera),
+            payloads: Vec::new(),
             errors,
             error_sum_mm: 0.0,
             error_max_mm: 0.0,
@@ -340,7 +273,7 @@ fn warm(
     stop: &AtomicBool,
     progress: &dyn Fn(),
 ) -> Result<Warm, Failure> {
-    let mut warm = Warm::new(camera)?;
+    let mut warm = Warm::new()?;
     let validity = Validity::new(camera);
     let (mut model, encode) = engine::stages(camera, engine)?;
     let mut encode = encode.unsampled();
@@ -369,7 +302,7 @@ fn warm(
             .decode(&encoded.payload)
             .map_err(|error| Failure::new(Kind::Failure, error))?;
         let end = Monotonic.now_ns();
-        warm.passes.measure(frame, &encoded.payload)?;
+        warm.payloads.push(encoded.payload.clone());
         if n == 0 {
             continue;
         }
@@ -394,59 +327,6 @@ fn warm(
 fn forth_and_back(n: u64, len: usize) -> usize {
     let at = (n % (2 * len as u64)) as usize;
     if at < len { at } else { 2 * len - 1 - at }
-}
-
-fn table(r: &Results) -> String {
-    let e = &r.residual_mm;
-    format!(
-        "\
-{} ({}x{}), {} frames ({} loaded), {} threads, {} ({} cores)
-points      {:.0} a frame, coverage {:.3} %, kept {:.3} %, warm {:.1} %
-spheres     {:.0} a frame
-size        {:.4} bits per valid pixel ({:.0} bytes a frame); key frames {:.4}
-bits        {}
-error mm    mean {:.3}  p95 {:.3}  p99 {:.3}  max {:.3}
-warm ms     p50 {:.2}  p99 {:.2}   (model {:.2}, encode {:.2}; decode {:.2})
-cold ms     p50 {:.2}  p99 {:.2}   (scene cut: p50 {:.2}  p99 {:.2})
-{}{}memory MB   {:.1}, of which frames {:.1}
-",
-        r.camera,
-        r.width,
-        r.height,
-        r.frames,
-        r.frames_loaded,
-        r.threads,
-        r.machine.cpu,
-        r.machine.cores,
-        r.points_per_frame,
-        r.coverage * 100.0,
-        r.points_kept * 100.0,
-        r.warm_points * 100.0,
-        r.spheres_per_frame,
-        r.bits_per_valid_px,
-        r.bytes_per_frame,
-        r.key_bits_per_valid_px,
-        r.spent_bits,
-        e.mean,
-        e.p95,
-        e.p99,
-        e.max,
-        r.warm_ms.p50,
-        r.warm_ms.p99,
-        r.stage_ms.model.p50,
-        r.stage_ms.encode.p50,
-        r.decode_ms.p50,
-        r.cold_ms.p50,
-        r.cold_ms.p99,
-        r.cut_ms.p50,
-        r.cut_ms.p99,
-        r.profile_ms.line(),
-        r.throughput
-            .as_ref()
-            .map_or(String::new(), Throughput::line),
-        r.rss_mb,
-        r.loaded_mb,
-    )
 }
 
 #[cfg(test)]

@@ -176,12 +176,13 @@ impl Engine {
         })
     }
 
-    /// Threads the model stage of one of `cameras` works with. Encode keeps a core busy by itself,
-    /// so that on two cores more than one would only take turns with it; the paper's own schemes
+    /// Threads the model stage of one of `cameras` works with. Where frames wait for us, encode
+    /// keeps a core busy by itself: on two cores a second worker would only take turns with it.
+    /// Where we wait for frames the core is free while a frame is modelled. The paper's own schemes
     /// take so long that encode does not count.
-    pub fn model_threads(&self, cameras: usize) -> usize {
+    pub fn model_threads(&self, cameras: usize, frames_wait: bool) -> usize {
         let share = self.threads / cameras.max(1);
-        let beside = usize::from(matches!(self.fit, Fit::Live(_)));
+        let beside = usize::from(frames_wait && matches!(self.fit, Fit::Live(_)));
         share.saturating_sub(beside).max(1)
     }
 
@@ -193,7 +194,7 @@ impl Engine {
 
     /// Makes the calling thread the first worker of the process's common pool. Once per process.
     pub fn start_workers(&self) -> Result<(), Failure> {
-        let workers = self.model_threads(1);
+        let workers = self.model_threads(1, false);
         rayon::ThreadPoolBuilder::new()
             .num_threads(workers)
             .thread_name(|n| format!("model-{n}"))

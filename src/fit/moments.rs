@@ -279,35 +279,25 @@ fn local_sums<const FULL: bool>(
         let bits = (keep >> (8 * j)) as u32;
         for i in 0..BLOCK {
             let z = f32::from(row[i]) * rays.unit;
-            if FULL {
-                let w = 1.0 / z - w0;
-                let s = (uu1[i] + vv) * z - s0;
-                total[i] += z;
-                cw[i] += w;
-                cwv[i] += w * dv;
-                cww[i] += w * w;
-                cs[i] += s;
-                csv[i] += s * dv;
-                css[i] += s * s;
-                csw[i] += s * w;
-            } else {
-                let m = if bits & BIT[i] != 0 { 1f32 } else { 0.0 };
-                // a pixel that is not kept may have no depth: it is divided by
-                let kept = if bits & BIT[i] != 0 { z } else { z0 };
-                let w = m * (1.0 / kept - w0);
-                let s = m * ((uu1[i] + vv) * kept - s0);
+            let here = FULL || bits & BIT[i] != 0;
+            let m = if here { 1f32 } else { 0.0 };
+            // a pixel that is not kept may have no depth: it is divided by
+            let kept = if here { z } else { z0 };
+            let w = m * (1.0 / kept - w0);
+            let s = m * ((uu1[i] + vv) * kept - s0);
+            if !FULL {
                 n[i] += m;
                 nv[i] += m * dv;
                 nvv[i] += m * (dv * dv);
-                total[i] += m * kept;
-                cw[i] += w;
-                cwv[i] += w * dv;
-                cww[i] += w * w;
-                cs[i] += s;
-                csv[i] += s * dv;
-                css[i] += s * s;
-                csw[i] += s * w;
             }
+            total[i] += m * kept;
+            cw[i] += w;
+            cwv[i] += w * dv;
+            cww[i] += w * w;
+            cs[i] += s;
+            csv[i] += s * dv;
+            css[i] += s * s;
+            csw[i] += s * w;
         }
     }
     let across = |c: [f32; BLOCK]| sum_of(std::array::from_fn(|i| c[i] * FROM_MIDDLE[i]));

@@ -107,7 +107,7 @@ pub struct Options {
     /// Threads the model stage works with where it has a thread of its own, that one included; 0
     /// leaves its work to the process's common pool.
     pub model_threads: usize,
-    /// Priority to ask for; what the caller's thread computes keeps the caller's.
+    /// Priority to ask for; with one thread none is.
     pub priority: Priority,
     /// How frames are taken.
     pub pace: Pace,
@@ -420,7 +420,7 @@ fn spawn<'scope, 'env, T: Send + 'scope>(
     std::thread::Builder::new()
         .name(stage.name().to_owned())
         .spawn_scoped(scope, move || {
-            shared.schedule.enter(stage);
+            shared.schedule.enter();
             work()
         })
         .map_err(|source| shared.fail(stage, PipelineError::Spawn { stage, source }))

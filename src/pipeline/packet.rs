@@ -50,6 +50,14 @@ pub struct ModelReport {
     pub degraded: bool,
 }
 
+impl ModelReport {
+    /// Pixels that hold a measurement no sphere explains.
+    #[must_use]
+    pub fn left(&self) -> u32 {
+        self.points.saturating_sub(self.explained)
+    }
+}
+
 /// What the encode stage says of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct CodingReport {

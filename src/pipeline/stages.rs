@@ -4,7 +4,7 @@
 //! counted and its packet goes back. So every stage can go on emptying its queue, and shutting
 //! down after a failure is the same as shutting down after the last frame.
 
-use super::budget::{Budget, CostModel, Decision, WorkLeft, decide};
+use super::budget::{Budget, CostModel, Decision, WorkLeft, coding_work, decide, likely_left};
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
 use super::packet::{CodingReport, ModelReport, Packet, Span};
@@ -12,7 +12,7 @@ use super::report::Report;
 use super::statistics::{DropCause, Drops, Statistics};
 use super::threads::Schedule;
 use super::trace::Trace;
-use super::{Options, Pace};
+use super::{Options, Pace, Priority};
 use crate::codec::EncodedFrame;
 use crate::contact_map::labels::SaintFrame;
 use crate::frame::{ColorFrame, DepthFrame};
@@ -102,8 +102,11 @@ pub trait Sink: Send {
 #[derive(Debug, Default)]
 struct Costs {
     model: CostModel,
+    /// Per unit of [`coding_work`].
     encode: CostModel,
     sink: CostModel,
+    /// Pixels a whole fit is likely to leave without a sphere.
+    left: u64,
 }
 
 /// What all stages of one run share.
@@ -148,7 +151,10 @@ impl<'a> Shared<'a> {
             failing: AtomicBool::new(false),
             failure: Mutex::new(None),
             costs: Mutex::new(Costs::default()),
-            schedule: Schedule::new(options.priority),
+            schedule: Schedule::new(match options.threads {
+                0 | 1 => Priority::Usual,
+                _ => options.priority,
+            }),
             trace: Mutex::new(trace),
         }
     }
@@ -271,7 +277,8 @@ impl<'a> Shared<'a> {
             let costs = locked(&self.costs);
             WorkLeft {
                 stage: costs.model.predict(pixels),
-                after: costs.encode.predict(pixels) + costs.sink.predict(1),
+                after: costs.encode.predict(coding_work(pixels, costs.left))
+                    + costs.sink.predict(1),
             }
         };
         let age = ns(packet.record.stamp_ns, start);
@@ -299,7 +306,9 @@ impl<'a> Shared<'a> {
             start_ns: start,
             end_ns: end,
         };
-        locked(&self.costs).model.observe(pixels, ns(start, end));
+        let mut costs = locked(&self.costs);
+        costs.model.observe(pixels, ns(start, end));
+        costs.left = likely_left(u64::from(report.points), u64::from(report.left()));
         true
     }
 
@@ -311,10 +320,11 @@ impl<'a> Shared<'a> {
         }
         let start = self.clock.now_ns();
         let pixels = packet.depth.depth.len() as u64;
+        let coding = coding_work(pixels, u64::from(packet.record.modelled.left()));
         let work = {
             let costs = locked(&self.costs);
             WorkLeft {
-                stage: costs.encode.predict(pixels),
+                stage: costs.encode.predict(coding),
                 after: costs.sink.predict(1),
             }
         };
@@ -343,7 +353,7 @@ impl<'a> Shared<'a> {
         };
         packet.record.bytes = packet.encoded.payload.len() as u64;
         packet.record.key = packet.encoded.key;
-        locked(&self.costs).encode.observe(pixels, ns(start, end));
+        locked(&self.costs).encode.observe(coding, ns(start, end));
         true
     }
 

@@ -4,13 +4,12 @@
 //! to other threads and back at each pass, and with one worker it runs as it does alone. How many
 //! are worth while is for the caller to say ([`super::Options::model_threads`]).
 //!
-//! *Priority.* Where it is asked for, the stages ask for the round-robin real-time class, later
-//! stages before earlier ones: a frame that is begun is finished before the next is begun. Capture
-//! comes before them, it only takes what the driver holds. Without the right to that they ask for a
-//! better nice value, and without that right too they run as they are. The report says what came
-//! of it.
+//! *Priority.* Where it is asked for, the stages ask for the round-robin real-time class, all at the
+//! same priority: the channels between them spin for moments and give way to their equals only, so
+//! that a higher one could wait for a lower one for ever. For the same reason nothing is asked for
+//! where the caller's thread computes. Without the right to that class they ask for a better nice
+//! value, and without that right too they run as they are. The report says what came of it.
 
-use super::error::Stage;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -20,6 +19,8 @@ use thread_priority::unix::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
+/// Priority in the real-time class, low on its scale of 1 to 99.
+const RANK: i32 = 2;
 /// Nice value where the real-time class is refused.
 const NICE: i32 = -10;
 
@@ -51,11 +52,11 @@ impl Schedule {
         }
     }
 
-    /// Asks for the calling thread, which works on `stage`.
-    pub(super) fn enter(&self, stage: Stage) {
+    /// Asks for the calling thread.
+    pub(super) fn enter(&self) {
         let got = match self.asked {
             Priority::Usual => return,
-            Priority::Realtime if realtime(rank(stage)) => Priority::Realtime,
+            Priority::Realtime if realtime() => Priority::Realtime,
             _ if rustix::process::setpriority_process(None, NICE).is_ok() => Priority::Nice,
             _ => Priority::Usual,
         };
@@ -82,21 +83,11 @@ impl Schedule {
     }
 }
 
-/// Priority of a stage in the real-time class, low on its scale of 1 to 99.
-fn rank(stage: Stage) -> i32 {
-    match stage {
-        Stage::Color => 1,
-        Stage::Model => 2,
-        Stage::Encode => 3,
-        Stage::Sink => 4,
-        Stage::Capture => 5,
-    }
-}
-
-fn realtime(rank: i32) -> bool {
+/// Puts the calling thread into the real-time class.
+fn realtime() -> bool {
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::RoundRobin);
     let priority = ThreadPriority::from_posix(ScheduleParams {
-        sched_priority: rank,
+        sched_priority: RANK,
     });
     set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
 }
@@ -127,7 +118,7 @@ mod tests {
             std::thread::scope(|scope| {
                 scope.spawn(|| {
                     let before = rustix::process::getpriority_process(None).unwrap();
-                    schedule.enter(Stage::Model);
+                    schedule.enter();
                     let policy = thread_priority::unix::thread_schedule_policy().unwrap();
                     let nice = rustix::process::getpriority_process(None).unwrap();
                     match schedule.got() {
@@ -154,15 +145,18 @@ mod tests {
 
     #[test]
     fn the_first_worker_is_the_thread_itself() {
-        let inside = std::thread::spawn(|| {
-            let pool = workers(2);
-            (
-                pool.is_some(),
-                rayon::current_num_threads(),
-                rayon::current_thread_index(),
-            )
+        let inside = std::thread::scope(|scope| {
+            let thread = scope.spawn(|| {
+                let pool = workers(2);
+                (
+                    pool.is_some(),
+                    rayon::current_num_threads(),
+                    rayon::current_thread_index(),
+                )
+            });
+            thread.join().unwrap()
         });
-        assert_eq!(inside.join().unwrap(), (true, 2, Some(0)));
+        assert_eq!(inside, (true, 2, Some(0)));
         assert!(workers(0).is_none());
     }
 }
