@@ -211,7 +211,9 @@ impl Bins {
         let count = models.count.code(coder, count as u32) as usize;
         let mut last = 0usize;
         for _ in 0..count {
-            let gap = missing(last, &self.present).map_or(0, |m| m - last - 1);
+            // the decoder has nothing to look for, and would look through all for each
+            let next = C::WRITES.then(|| missing(last, &self.present)).flatten();
+            let gap = next.map_or(0, |m| m - last - 1);
             last += 1 + models.gap.code(coder, gap as u32) as usize;
             if last >= INTEGERS {
                 return Err(NoSuchInteger);

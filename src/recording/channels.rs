@@ -42,6 +42,20 @@ impl Channel {
             .then_some(camera)
     }
 
+    /// The camera whose frames it carries, as it describes it.
+    pub fn camera(&self) -> Option<Camera> {
+        self.frames_of()?;
+        serde_json::from_str(self.metadata.get(self.camera_note())?).ok()
+    }
+
+    fn camera_note(&self) -> &'static str {
+        if self.is_raw() {
+            raw::CAMERA_NOTE
+        } else {
+            "camera"
+        }
+    }
+
     /// True where it belongs to `camera`; to the only one, which has no name, all belong.
     pub fn belongs_to(&self, camera: &str) -> bool {
         camera.is_empty() || topics::split(&self.topic).0 == camera
@@ -110,13 +124,9 @@ impl Channels {
     pub fn cameras(&self) -> Vec<(&str, Camera, BTreeMap<String, String>)> {
         let saint = self.by_id.values().filter_map(|channel| {
             let name = channel.frames_of()?;
+            let camera = channel.camera()?;
             let mut notes = channel.metadata.clone();
-            let note = if channel.is_raw() {
-                raw::CAMERA_NOTE
-            } else {
-                "camera"
-            };
-            let camera = serde_json::from_str(&notes.remove(note)?).ok()?;
+            notes.remove(channel.camera_note());
             Some((name, camera, notes))
         });
         saint.collect()

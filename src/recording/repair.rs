@@ -84,7 +84,10 @@ pub fn repair(path: &Path, target: Target) -> Result<RepairReport, RecordingErro
             ..RepairReport::default()
         },
     };
-    for channel in index.channels.by_id.values() {
+    // of two channels of one topic the one that can be read describes the camera
+    let all = index.channels.by_id.values();
+    let (described, others): (Vec<_>, Vec<_>) = all.partition(|c| c.camera().is_some());
+    for channel in described.into_iter().chain(others) {
         copy.channel(channel)?;
     }
     let mut known = index.channels.clone();
