@@ -255,8 +255,8 @@ impl Encoder {
     }
 
     /// Encodes one frame for which there is no time: mask pixels and the depths that no sphere gives
-    /// back are written as they are, in blocks that have any. A frame of noise takes a hundredth of
-    /// the time and 16 bits a pixel.
+    /// back are written as they are, in blocks that have any, and a block gets one sphere. A VGA frame
+    /// of noise takes some 5 ms, not 160, and 16 bits a pixel.
     ///
     /// # Errors
     /// As [`encode`](Self::encode).
@@ -397,7 +397,12 @@ impl Encoder {
             // what was not measured has no label
             let known = self.truth.get(k).map_or(measured, |t| measured & t);
             let known = if known == 0 { measured } else { known };
-            let (palette, size) = palette_choice::gather(saint, &self.rays, k, known);
+            let (mut palette, mut size) = palette_choice::gather(saint, &self.rays, k, known);
+            if self.plain && size > 1 {
+                // no labels to code: what the first does not give back is written as it is
+                palette[1..].fill(NO_SPHERE);
+                size = 1;
+            }
             for &slot in &palette[..usize::from(size)] {
                 if let Some(n) = self.blocks.get_mut(usize::from(slot)) {
                     *n += 1;

@@ -337,7 +337,8 @@ impl<'a> Shared<'a> {
         match decide(ns(packet.record.stamp_ns, start), work, self.budget) {
             Decision::Run => {}
             Decision::RunFor(time) => {
-                modelled.hurried = hurries(work.stage, time, modelled.points, modelled.left());
+                let coding = locked(&self.costs).encode.predict_coding(coding);
+                modelled.hurried = hurries(coding, time, modelled.points, modelled.left());
                 modelled.degraded |= modelled.hurried;
             }
             Decision::GiveUp => {
@@ -365,13 +366,12 @@ impl<'a> Shared<'a> {
         };
         packet.record.bytes = packet.encoded.payload.len() as u64;
         packet.record.key = packet.encoded.key;
-        // what is coded plainly costs no more than the rest
-        let coding = if packet.record.modelled.hurried {
-            coding_work(pixels, 0)
+        let cost = &mut locked(&self.costs).encode;
+        if packet.record.modelled.hurried {
+            cost.fade();
         } else {
-            coding
-        };
-        locked(&self.costs).encode.observe(coding, ns(start, end));
+            cost.observe(coding, ns(start, end));
+        }
         true
     }
 
