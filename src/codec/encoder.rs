@@ -497,8 +497,8 @@ impl Encoder {
         if smooths {
             let decided = (&self.state.now.mask, &self.truth[..]);
             let (measured, invented) = (&mut self.measured, &mut self.invented);
-            let changed =
-                mask_choice::settle(&self.rays, decided, &mut self.plane, measured, invented);
+            let planes = (&mut self.plane[..], &self.scratch[..]);
+            let changed = mask_choice::settle(&self.rays, decided, planes, measured, invented);
             (report.lost_pixels, report.invented_pixels) = (changed.lost, changed.invented);
         }
         let errors = Errors {
