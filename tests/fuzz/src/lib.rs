@@ -12,8 +12,11 @@ pub use files::{CLOUDS, CONTAINERS, IMAGES, camera_file, cloud_file, container, 
 pub use payloads::{cloud_payload, header, sensor_payload};
 pub use recordings::{raw_capture, recording};
 
+/// What is done with any bytes.
+pub type Fuzzed = fn(&[u8]);
+
 /// All targets by name.
-pub const TARGETS: [(&str, fn(&[u8])); 9] = [
+pub const TARGETS: [(&str, Fuzzed); 9] = [
     ("sensor_payload", sensor_payload),
     ("cloud_payload", cloud_payload),
     ("header", header),
