@@ -93,6 +93,7 @@ def ours(folder, frames):
             scratch = pathlib.Path(scratch)
             flags = [*flags, "--depth-max", f"{frames.options.depth_max}m", "--to", len(frames.files)]
             run = lambda *a: subprocess.run([PROGRAM, *map(str, a)], check=True, capture_output=True, text=True).stdout
+            flags += ["--smooth-mask"] * (frames.options.smooth_mask and "--smooth-mask" not in flags)
             run("replay", folder, "-o", scratch / "x.mcap", "-q", *flags)
             info = json.loads(run("info", scratch / "x.mcap", "--json"))
             run("export", scratch / "x.mcap", "--to", "exr", "-o", scratch / "exr", "-q")
@@ -170,6 +171,7 @@ def main():
     parser.add_argument("folders", nargs="+", type=pathlib.Path)
     parser.add_argument("--frames", type=int, default=30)
     parser.add_argument("--every", type=int, default=10)
+    parser.add_argument("--smooth-mask", action="store_true", help="in all rows of ours")
     parser.add_argument("--depth-max", type=float, default=65.0)
     options = parser.parse_args()
     for folder in options.folders:
