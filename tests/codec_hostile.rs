@@ -314,6 +314,7 @@ fn absurd_cameras_are_refused_before_memory_is_taken() {
             time: FrameTime::default(),
             motion: Motion::default(),
             degraded: false,
+            plain: false,
             sections: [0; SECTIONS],
         };
         let mut body = Vec::new();

@@ -26,12 +26,17 @@ fn contacts() -> [ContactDistance; 4] {
     ]
 }
 
+/// Which frames of a chain are coded plainly.
+type Plain = fn(u64) -> bool;
+
 /// Five frames: a key frame and four that refer to each other.
 fn chain(size: (u32, u32), picture: Picture, contact: ContactDistance, lossless: bool, seed: u64) {
-    coded(size, picture, options(contact, lossless, 30), seed);
+    coded(size, picture, options(contact, lossless, 30), seed, |_| {
+        false
+    });
 }
 
-fn coded(size: (u32, u32), picture: Picture, with: CodecOptions, seed: u64) {
+fn coded(size: (u32, u32), picture: Picture, with: CodecOptions, seed: u64, plain: Plain) {
     let camera = camera(size.0, size.1);
     let Tolerance { contact, lossless } = with.tolerance;
     let fit = FitOptions {
@@ -45,9 +50,12 @@ fn coded(size: (u32, u32), picture: Picture, with: CodecOptions, seed: u64) {
     for number in 0..5 {
         let frame = draw(&camera, picture, number, seed);
         let report = modeler.model(&frame, &mut saint, &|| false);
-        let coded = encoder
-            .encode(&frame, &saint, report.degraded, &mut encoded)
-            .unwrap();
+        let coded = if plain(number) {
+            encoder.encode_plainly(&frame, &saint, &mut encoded)
+        } else {
+            encoder.encode(&frame, &saint, report.degraded, &mut encoded)
+        };
+        let coded = coded.unwrap();
         let what = format!("{picture:?} {size:?} {contact} lossless {lossless} frame {number}");
         assert_eq!(coded.valid_pixels, report.valid_pixels, "{what}");
         let spent = coded.spent();
@@ -100,6 +108,24 @@ fn random_small_frames_keep_mask_and_bound() {
     }
 }
 
+/// Frames coded plainly stand between others, as key frames and as P frames.
+#[test]
+fn plain_frames_keep_mask_and_bound() {
+    let mut chance = Chance(31);
+    let patterns: [Plain; 4] = [|_| true, |n| n == 0, |n| n == 2, |n| n % 2 == 1];
+    for seed in 0..160 {
+        let (size, picture, contact) = small_scene(&mut chance);
+        let with = options(contact, chance.below(4) == 0, 30);
+        coded(
+            size,
+            picture,
+            with,
+            seed,
+            patterns[chance.below(4) as usize],
+        );
+    }
+}
+
 /// A bound wider or tighter than what the spheres are fitted to is kept as well.
 #[test]
 fn a_bound_other_than_the_contact_distance_is_kept() {
@@ -110,7 +136,7 @@ fn a_bound_other_than_the_contact_distance_is_kept() {
         if chance.below(2) == 0 {
             with.tolerance.contact = contacts()[chance.below(4) as usize];
         }
-        coded(size, picture, with, seed);
+        coded(size, picture, with, seed, |_| false);
     }
 }
 

@@ -21,7 +21,7 @@ from reference_geometry import F32, F64, Bins, Chart, Entry, clamp, five, invers
 from reference_geometry import shift_of
 
 NO_SPHERE, INVALID = 65534, 65535
-KEY, LOSSLESS, DEGRADED, MOVED = 1, 2, 4, 8
+KEY, LOSSLESS, DEGRADED, MOVED, PLAIN = 1, 2, 4, 8, 16
 EMPTY, FULL, MIXED = 0, 1, 2
 SMOOTH, SPARSE, DENSE = 0, 1, 2
 ENDS = [1, 2, 3, 5, 7, 11, 15, 23, 31, 47, 63, 95, 127, 191]
@@ -149,7 +149,7 @@ class Decoder:
         if fields.take(2) != b"SL" or fields.take(1) != b"\x03":
             raise Refused("magic or version")
         (flags,) = fields.take(1)
-        if flags & ~(KEY | LOSSLESS | DEGRADED | MOVED):
+        if flags & ~(KEY | LOSSLESS | DEGRADED | MOVED | PLAIN):
             raise Refused("unknown flags")
         sequence = fields.varint()
         fields.unpack("2q")
@@ -171,7 +171,7 @@ class Decoder:
             self.stream, self.models, self.past = stream, Models(), None
         elif reference is None or reference != wanted:
             raise Refused(f"missing reference: frame {sequence} needs frame {wanted}")
-        frame = Frame(self.stream, self.models, self.past, motion)
+        frame = Frame(self.stream, self.models, self.past, motion, bool(flags & PLAIN))
         planes = frame.read(sections)
         self.past, self.last_sequence = frame.now, sequence
         return planes
@@ -181,8 +181,8 @@ class Decoder:
 
 
 class Frame:
-    def __init__(self, stream, models, past, motion):
-        self.stream, self.models, self.past = stream, models, past
+    def __init__(self, stream, models, past, motion, plain):
+        self.stream, self.models, self.past, self.plain = stream, models, past, plain
         self.now = Picture(stream)
         self.motion = motion
         before = past.entries if past else []
@@ -191,7 +191,7 @@ class Frame:
         self.next = self.given = 0
 
     def read(self, sections):
-        blocks, spheres, pixels, residual = map(Range, sections)
+        blocks, spheres, pixels = map(Range, sections[:3])
         self.read_fills(blocks)
         self.read_palettes(blocks)
         blocks.end()
@@ -203,8 +203,12 @@ class Frame:
         self.read_labels(pixels)
         pixels.end()
         self.predict()
-        self.read_residual(residual)
-        residual.end()
+        if self.plain:
+            self.read_plain_residual(sections[3])
+        else:
+            residual = Range(sections[3])
+            self.read_residual(residual)
+            residual.end()
         return self.output()
 
     def neighbour(self, k, dx, dy):
@@ -438,6 +442,9 @@ class Frame:
         for x, y, k in self.raster([fill == MIXED for fill in now.fills]):
             if self.quads[k][y // 4 % 2 * 2 + x // 4 % 2] != MIXED:
                 continue
+            if self.plain:
+                now.mask.set(x, y, coder.plain(1))
+                continue
             sx, sy = self.shifts[k]
 
             def read(mask, places, x, y):
@@ -611,6 +618,27 @@ class Frame:
             self.integers.set(x, y, last)
             self.rebuilt[y, x] = True
         self.whole = self.integers.inner
+
+    def read_plain_residual(self, section):
+        s, now = self.stream, self.now
+        if len(section) < 4:
+            raise Refused("plain")
+        (length,) = struct.unpack("<I", section[:4])
+        if len(section) - 4 < length:
+            raise Refused("plain")
+        kinds, depths = Range(section[4 : 4 + length]), section[4 + length :]
+        now.integers = self.past.integers if self.past else None
+        self.read_kinds(kinds)
+        kinds.end()
+        wanted = [(x, y) for x, y, _ in self.raster([kind != SMOOTH for kind in now.kinds]) if now.mask.at(x, y)]
+        if len(depths) != 2 * len(wanted):
+            raise Refused("plain")
+        self.rebuilt = np.zeros(s.q.shape, dtype=bool)
+        integers = np.where(now.mask.inner != 0, self.whole, 0)
+        for (x, y), integer in zip(wanted, np.frombuffer(depths, "<u2")):
+            integers[y, x] = integer
+            self.rebuilt[y, x] = True
+        self.whole = integers
 
     def read_integers(self, coder):
         models, now = self.models, self.now

@@ -314,7 +314,11 @@ impl Encode for EncodeStage {
                 if let Some(distance) = self.rate.as_mut().and_then(Rate::next) {
                     encoder.set_contact_distance(distance);
                 }
-                let report = encoder.encode(depth, saint, modelled.degraded, encoded)?;
+                let report = if modelled.hurried {
+                    encoder.encode_plainly(depth, saint, encoded)?
+                } else {
+                    encoder.encode(depth, saint, modelled.degraded, encoded)?
+                };
                 if let Some(rate) = &mut self.rate {
                     rate.observe(encoded);
                 }

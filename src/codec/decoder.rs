@@ -177,10 +177,13 @@ impl Decoder {
             state.follow(&header.motion);
         }
         let level = self.level;
-        let moved = (key, &header.motion);
+        let moved = (key, &header.motion, header.plain);
         let read = read_sections(state, rays, reach, moved, sections, level).and_then(|()| {
             if level < Level::Full {
                 return Ok(());
+            }
+            if header.plain {
+                return read_plainly(state, rays, key, sections[3]);
             }
             let mut coder = RangeDecoder::new(sections[3]);
             let how = (key, stream.tolerance.lossless);
@@ -220,12 +223,42 @@ fn overrun(coder: &RangeDecoder<'_>) -> Result<(), CodecError> {
     Ok(())
 }
 
+/// Section *residual* of a plain frame.
+fn read_plainly(
+    state: &mut State,
+    rays: &Rays,
+    key: bool,
+    section: &[u8],
+) -> Result<(), CodecError> {
+    let wrong = CodecError::Corrupt {
+        at: 0,
+        what: "plain depths are not as many as the pixels that want them",
+    };
+    let (length, rest) = section.split_first_chunk::<4>().ok_or(wrong.clone())?;
+    let length = usize::try_from(u32::from_le_bytes(*length)).unwrap_or(usize::MAX);
+    let (kinds, depths) = rest.split_at_checked(length).ok_or(wrong.clone())?;
+    let mut coder = RangeDecoder::new(kinds);
+    state.code_plain_kinds(&mut coder, rays, key);
+    overrun(&coder)?;
+    let (depths, []) = depths.as_chunks::<2>() else {
+        return Err(wrong);
+    };
+    if depths.len() != state.plain_pixels(rays) {
+        return Err(wrong);
+    }
+    let mut depths = depths.iter();
+    state.state_plainly(rays, |_, _| {
+        depths.next().map_or(0, |bytes| u16::from_le_bytes(*bytes))
+    });
+    Ok(())
+}
+
 /// Contact map by blocks, spheres, contact map by pixels.
 fn read_sections(
     state: &mut State,
     rays: &Rays,
     reach: &Reach,
-    (key, motion): (bool, &Motion),
+    (key, motion, plain): (bool, &Motion, bool),
     sections: [&[u8]; header::SECTIONS],
     level: Level,
 ) -> Result<(), CodecError> {
@@ -270,7 +303,12 @@ fn read_sections(
         return Ok(());
     }
     let mut coder = RangeDecoder::new(sections[2]);
-    state.code_mask(&mut coder, rays, (key, motion), (&[], mask::EXACT));
+    let how = if plain {
+        mask::Precision::Plain
+    } else {
+        mask::Precision::Exact
+    };
+    state.code_mask(&mut coder, rays, (key, motion), (&[], how));
     state.code_labels(&mut coder, rays, reach, key, &mut AsRead);
     overrun(&coder)
 }

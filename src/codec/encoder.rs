@@ -115,6 +115,8 @@ pub struct Encoder {
     contact: Reach,
     options: CodecOptions,
     thrift: Thrift,
+    /// The frame at hand is written plainly.
+    plain: bool,
     state: State,
     plane: Vec<u16>,
     scratch: Vec<u16>,
@@ -172,6 +174,7 @@ impl Encoder {
             stream,
             options,
             thrift: USUAL,
+            plain: false,
             state: State::with_room(room),
             plane: Vec::new(),
             scratch: Vec::new(),
@@ -230,7 +233,7 @@ impl Encoder {
                 });
             }
         }
-        if self.options.effort == Effort::Live {
+        if self.options.effort == Effort::Live || self.plain {
             return self.encode_once(frame, saint, degraded, out);
         }
         let start = self.clone();
@@ -249,6 +252,24 @@ impl Encoder {
             }
         }
         Ok(best)
+    }
+
+    /// Encodes one frame for which there is no time: mask pixels and the depths that no sphere gives
+    /// back are written as they are, in blocks that have any, and a block gets one sphere. A VGA frame
+    /// of noise takes some 5 ms, not 160, and 16 bits a pixel.
+    ///
+    /// # Errors
+    /// As [`encode`](Self::encode).
+    pub fn encode_plainly(
+        &mut self,
+        frame: &DepthFrame,
+        saint: &SaintFrame,
+        out: &mut EncodedFrame,
+    ) -> Result<EncodeReport, CodecError> {
+        self.plain = true;
+        let report = self.encode(frame, saint, true, out);
+        self.plain = false;
+        report
     }
 
     /// What the errors of the frame last encoded are worth, in bits, by the price that labels were
@@ -333,6 +354,7 @@ impl Encoder {
             time: frame.time,
             motion: saint.motion,
             degraded,
+            plain: self.plain,
             sections: [0, 1, 2, 3].map(|k| self.sections[k].len()),
         };
         out.sequence = frame.sequence;
@@ -375,7 +397,12 @@ impl Encoder {
             // what was not measured has no label
             let known = self.truth.get(k).map_or(measured, |t| measured & t);
             let known = if known == 0 { measured } else { known };
-            let (palette, size) = palette_choice::gather(saint, &self.rays, k, known);
+            let (mut palette, mut size) = palette_choice::gather(saint, &self.rays, k, known);
+            if self.plain && size > 1 {
+                // no labels to code: what the first does not give back is written as it is
+                palette[1..].fill(NO_SPHERE);
+                size = 1;
+            }
             for &slot in &palette[..usize::from(size)] {
                 if let Some(n) = self.blocks.get_mut(usize::from(slot)) {
                     *n += 1;
@@ -458,20 +485,20 @@ impl Encoder {
 
     fn code_pixels(&mut self, key: bool, motion: &Motion, report: &mut EncodeReport) {
         let smooths = self.smooths();
-        let patience = if smooths {
-            mask_choice::PATIENCE
-        } else {
-            mask::EXACT
+        let how = match (self.plain, smooths) {
+            (true, _) => mask::Precision::Plain,
+            (_, true) => mask::Precision::Within(mask_choice::PATIENCE),
+            _ => mask::Precision::Exact,
         };
         let mut coder = RangeEncoder::new(&mut self.sections[2]);
-        let wanted = (&self.measured[..], patience);
+        let wanted = (&self.measured[..], how);
         self.state
             .code_mask(&mut coder, &self.rays, (key, motion), wanted);
         if smooths {
             let decided = (&self.state.now.mask, &self.truth[..]);
             let (measured, invented) = (&mut self.measured, &mut self.invented);
-            let changed =
-                mask_choice::settle(&self.rays, decided, &mut self.plane, measured, invented);
+            let planes = (&mut self.plane[..], &self.scratch[..]);
+            let changed = mask_choice::settle(&self.rays, decided, planes, measured, invented);
             (report.lost_pixels, report.invented_pixels) = (changed.lost, changed.invented);
         }
         let errors = Errors {
@@ -560,7 +587,7 @@ impl Encoder {
             let missed = (all & !self.hits[k]).count_ones();
             *kind = if missed == 0 {
                 Kind::Smooth
-            } else if missed * DENSE_FROM < all.count_ones() {
+            } else if !self.plain && missed * DENSE_FROM < all.count_ones() {
                 Kind::Sparse
             } else {
                 Kind::Dense
@@ -593,6 +620,22 @@ impl Encoder {
     fn code_residuals(&mut self, key: bool) -> Result<(), CodecError> {
         let (rays, plane, hits) = (&self.rays, &self.plane, &self.hits);
         let stride = rays.stride();
+        if self.plain {
+            let section = &mut self.sections[3];
+            section.extend([0; 4]);
+            let mut coder = RangeEncoder::new(section);
+            self.state.code_plain_kinds(&mut coder, rays, key);
+            coder.finish();
+            let length = (section.len() - 4) as u32;
+            section[..4].copy_from_slice(&length.to_le_bytes());
+            section.reserve(2 * self.state.plain_pixels(rays));
+            self.state.state_plainly(rays, |x, y| {
+                let integer = plane[y * stride + x];
+                section.extend(integer.to_le_bytes());
+                integer
+            });
+            return Ok(());
+        }
         let mut coder = RangeEncoder::new(&mut self.sections[3]);
         let how = (key, self.options.tolerance.lossless);
         let wanted = |block: usize, x: usize, y: usize| {

@@ -20,6 +20,7 @@ const KEY: u8 = 1;
 const LOSSLESS: u8 = 2;
 const DEGRADED: u8 = 4;
 const MOVED: u8 = 8;
+const PLAIN: u8 = 16;
 
 /// How well a measurement must come back.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,6 +126,8 @@ pub struct Header {
     pub motion: Motion,
     /// True where the latency budget cut the fit short.
     pub degraded: bool,
+    /// True where mask pixels and depths are written plainly, for speed.
+    pub plain: bool,
     /// Bytes of each section: blocks, spheres, pixels, residual.
     pub sections: [usize; SECTIONS],
 }
@@ -143,7 +146,8 @@ impl Header {
             (u8::from(self.stream.is_some()) * KEY)
                 | (u8::from(lossless) * LOSSLESS)
                 | (u8::from(self.degraded) * DEGRADED)
-                | (u8::from(self.is_moved()) * MOVED),
+                | (u8::from(self.is_moved()) * MOVED)
+                | (u8::from(self.plain) * PLAIN),
         );
         write_varint(out, self.sequence);
         out.extend(self.time.device_ns.to_le_bytes());
@@ -204,7 +208,7 @@ impl Header {
             return Err(CodecError::Version { found: version });
         }
         let flags = r.byte()?;
-        if flags & !(KEY | LOSSLESS | DEGRADED | MOVED) != 0 {
+        if flags & !(KEY | LOSSLESS | DEGRADED | MOVED | PLAIN) != 0 {
             return Err(CodecError::Corrupt {
                 at: 3,
                 what: "flags of no known meaning are set",
@@ -268,6 +272,7 @@ impl Header {
                 time,
                 motion,
                 degraded: flags & DEGRADED != 0,
+                plain: flags & PLAIN != 0,
                 sections,
             },
             bytes,

@@ -48,11 +48,12 @@ fn around(rays: &Rays, plane: &[u16], (x, y): (usize, usize)) -> u16 {
 }
 
 /// Brings `plane` and `measured` (pixels of each block) to the mask that was coded, and tells what
-/// differs from `truth`, the sensor's; `invented` becomes the pixels that it has not.
+/// differs from `truth`, the sensor's, whose plane is `sensor`; `invented` becomes the pixels that it
+/// has not.
 pub(super) fn settle(
     rays: &Rays,
     (coded, truth): (&Mask, &[u64]),
-    plane: &mut [u16],
+    (plane, sensor): (&mut [u16], &[u16]),
     measured: &mut [u64],
     invented: &mut Vec<u64>,
 ) -> Changed {
@@ -67,8 +68,12 @@ pub(super) fn settle(
             let bit = left.trailing_zeros() as usize;
             left &= left - 1;
             let (x, y) = (x0 + bit % BLOCK, y0 + bit / BLOCK);
-            plane[y * rays.stride() + x] = if on >> bit & 1 == 0 {
+            let at = y * rays.stride() + x;
+            plane[at] = if on >> bit & 1 == 0 {
                 0
+            } else if sensor[at] != 0 {
+                // smoothing had dropped it
+                sensor[at]
             } else {
                 let near = around(rays, plane, (x, y));
                 last = if near == 0 { last } else { near };

@@ -115,7 +115,15 @@ fn code_mask<C: Coder>(
     });
     mask::code_fills(coder, fills, rays, &mut mask, before.map(|b| b.0), wanted);
     mask::code_quads(coder, models, rays, &mut mask, past, wanted);
-    mask::code_pixels(coder, models, rays, &mut mask, past, wanted, mask::EXACT);
+    mask::code_pixels(
+        coder,
+        models,
+        rays,
+        &mut mask,
+        past,
+        wanted,
+        mask::Precision::Exact,
+    );
     mask
 }
 

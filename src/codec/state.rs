@@ -9,7 +9,7 @@ use super::palettes::{self, NewNumbers, NoSuchSphere};
 use super::range_coder::Coder;
 use super::residual::{self, Kind, Trace};
 use super::sphere_table::{self, Entry, Support};
-use super::surface::{Surfaces, to_integer};
+use super::surface::{BEYOND, Surfaces, to_integer};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
@@ -151,14 +151,13 @@ impl State {
     }
 
     /// Section *pixels*, first half: the mask. `wanted`: measured pixels of each block, of which some
-    /// may go another way where that saves `patience` (see [`mask::code_pixels`]; both not used to
-    /// decode).
+    /// may go another way (not used to decode).
     pub fn code_mask<C: Coder>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
         (key, motion): (bool, &Motion),
-        (wanted, patience): (&[u64], u32),
+        (wanted, how): (&[u64], mask::Precision),
     ) {
         let State {
             models,
@@ -177,7 +176,7 @@ impl State {
         let models = &mut models.mask;
         let start = coder.written();
         mask::code_quads(coder, models, rays, &mut now.mask, past, wanted);
-        mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, patience);
+        mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, how);
         mask_bits[1] = coder.written() - start;
     }
 
@@ -256,6 +255,53 @@ impl State {
             coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
         );
         Ok(())
+    }
+
+    /// Section *residual* of a plain frame, but for its depths: kinds of blocks.
+    pub fn code_plain_kinds<C: Coder>(&mut self, coder: &mut C, rays: &Rays, key: bool) {
+        self.cover(rays);
+        if key {
+            self.bins.begin(false);
+        }
+        let past = (!key).then_some(&self.before.kinds[..]);
+        residual::code_kinds(coder, &mut self.models.residual, rays, &mut self.now, past);
+    }
+
+    /// Number of pixels whose depth a plain frame states.
+    pub fn plain_pixels(&self, rays: &Rays) -> usize {
+        let rough = (0..rays.blocks()).filter(|&k| self.now.kinds[k] != Kind::Smooth);
+        rough
+            .map(|k| self.now.mask.block(rays, k).count_ones() as usize)
+            .sum()
+    }
+
+    /// States the depths of a plain frame, in raster order; `integer` tells or takes the one at (x, y).
+    pub fn state_plainly(&mut self, rays: &Rays, mut integer: impl FnMut(usize, usize) -> u16) {
+        let State {
+            now,
+            predicted,
+            rebuilt,
+            ..
+        } = self;
+        for y in 0..rays.height {
+            for x0 in (0..rays.width).step_by(BLOCK) {
+                if now.kinds[y / BLOCK * rays.block_columns + x0 / BLOCK] == Kind::Smooth {
+                    continue;
+                }
+                let start = now.mask.pixels.index(x0, y);
+                for j in 0..BLOCK.min(rays.width - x0) {
+                    let i = start + j;
+                    if now.mask.pixels.cells()[i] == 0 {
+                        continue;
+                    }
+                    rebuilt.cells_mut()[i] = integer(x0 + j, y);
+                    let d = predicted.cells()[i];
+                    let sphere = now.map.pixels.cells()[i] != NO_SPHERE;
+                    let guess = sphere && d > 0.0 && d < BEYOND;
+                    predicted.cells_mut()[i] = if guess { -d } else { 0.0 };
+                }
+            }
+        }
     }
 
     fn cover(&mut self, rays: &Rays) {

@@ -97,6 +97,13 @@ pub fn decide(elapsed: Duration, work: WorkLeft, budget: Budget) -> Decision {
 /// own (VGA noise 290 ns, walls and furniture 25 ns a pixel).
 const PLAIN: u64 = 10;
 
+/// What a unit of coding is taken to cost before it was measured.
+const FIRST_NS: u64 = 25;
+
+/// Least share of the points, one in so many, that a frame must leave to be hurried: coded plainly
+/// they take sixteen bits each.
+const HURRIED_FROM: u64 = 8;
+
 /// The work of coding a frame of `pixels`, of which `left` are on no sphere.
 ///
 /// With it the cost of coding is learnt apart from how well the frame was modelled. Otherwise a fit
@@ -104,6 +111,13 @@ const PLAIN: u64 = 10;
 #[must_use]
 pub fn coding_work(pixels: u64, left: u64) -> u64 {
     pixels + PLAIN * left
+}
+
+/// True where a frame whose coding takes `work` of the `time` there is should be hurried: coded
+/// plainly where no sphere explains it. That saves time only where much is left, `left` of `points`.
+#[must_use]
+pub fn hurries(work: Duration, time: Duration, points: u32, left: u32) -> bool {
+    work > time && u64::from(left) * HURRIED_FROM > u64::from(points)
 }
 
 /// The pixels a whole fit is likely to leave, where the last one left `left` of `points`: few,
@@ -147,10 +161,27 @@ impl CostModel {
         Duration::from_nanos((self.ns_per_unit * units as f64) as u64)
     }
 
+    /// What `units` of coding will cost; a guess before the first measurement, so that a stream that
+    /// begins with noise is not late from the start.
+    #[must_use]
+    pub fn predict_coding(&self, units: u64) -> Duration {
+        if self.ns_per_unit == 0.0 {
+            Duration::from_nanos(units * FIRST_NS)
+        } else {
+            self.predict(units)
+        }
+    }
+
     /// Forgets a little after a frame was given up: nothing was measured, and an estimate that
     /// nothing corrects would refuse every frame for ever.
     pub fn relax(&mut self) {
         self.ns_per_unit *= 0.9;
+    }
+
+    /// The same after a hurried frame, which tells nothing of what the whole work costs: a whole one
+    /// is tried again after some twenty.
+    pub fn fade(&mut self) {
+        self.ns_per_unit *= 0.99;
     }
 }
 
@@ -198,6 +229,29 @@ mod tests {
         };
         assert_eq!(decide(ms(6), work, budget), Decision::RunFor(ms(20)));
         assert_eq!(decide(ms(900), work, budget), Decision::RunFor(ms(4)));
+    }
+
+    #[test]
+    fn noise_is_foreseen_before_anything_was_measured() {
+        let mut cost = CostModel::default();
+        let noise = coding_work(300_000, 300_000);
+        assert!(hurries(
+            cost.predict_coding(noise),
+            ms(25),
+            300_000,
+            300_000
+        ));
+        assert_eq!(cost.predict(noise), Duration::ZERO);
+        cost.observe(1000, ms(1));
+        assert_eq!(cost.predict_coding(10), cost.predict(10));
+    }
+
+    #[test]
+    fn only_late_frames_that_leave_much_are_hurried() {
+        assert!(hurries(ms(80), ms(20), 1000, 900));
+        assert!(!hurries(ms(20), ms(20), 1000, 900));
+        assert!(!hurries(ms(80), ms(20), 1000, 100));
+        assert!(!hurries(ms(80), ms(20), 0, 0));
     }
 
     #[test]

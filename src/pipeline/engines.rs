@@ -17,6 +17,7 @@ impl From<FitReport> for ModelReport {
             spheres: fit.spheres,
             warm: fit.warm_pixels,
             degraded: fit.degraded,
+            hurried: false,
         }
     }
 }
@@ -52,7 +53,11 @@ impl Encode for Encoder {
         modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError> {
-        let report = Self::encode(self, depth, saint, modelled.degraded, encoded)?;
+        let report = if modelled.hurried {
+            self.encode_plainly(depth, saint, encoded)?
+        } else {
+            Self::encode(self, depth, saint, modelled.degraded, encoded)?
+        };
         Ok(CodingReport {
             spent: report.spent(),
             ..CodingReport::default()

@@ -48,6 +48,8 @@ pub struct ModelReport {
     pub warm: u32,
     /// True where the deadline cut the refinement short.
     pub degraded: bool,
+    /// True where there is no time to code what no sphere explains but plainly.
+    pub hurried: bool,
 }
 
 impl ModelReport {

@@ -4,7 +4,9 @@
 //! counted and its packet goes back. So every stage can go on emptying its queue, and shutting
 //! down after a failure is the same as shutting down after the last frame.
 
-use super::budget::{Budget, CostModel, Decision, WorkLeft, coding_work, decide, likely_left};
+use super::budget::{
+    Budget, CostModel, Decision, Late, WorkLeft, coding_work, decide, hurries, likely_left,
+};
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
 use super::packet::{CodingReport, ModelReport, Packet, Span};
@@ -275,10 +277,12 @@ impl<'a> Shared<'a> {
         let pixels = packet.depth.depth.len() as u64;
         let work = {
             let costs = locked(&self.costs);
+            // where frames may be hurried, what is left costs no more than the rest
+            let degrades = self.budget.late == Late::Degrade;
+            let left = if degrades { 0 } else { costs.left };
             WorkLeft {
                 stage: costs.model.predict(pixels),
-                after: costs.encode.predict(coding_work(pixels, costs.left))
-                    + costs.sink.predict(1),
+                after: costs.encode.predict(coding_work(pixels, left)) + costs.sink.predict(1),
             }
         };
         let age = ns(packet.record.stamp_ns, start);
@@ -329,10 +333,19 @@ impl<'a> Shared<'a> {
             }
         };
         // only the drop policy refuses: a payload is never cut short by time
-        if decide(ns(packet.record.stamp_ns, start), work, self.budget) == Decision::GiveUp {
-            locked(&self.costs).encode.relax();
-            self.dropped(packet, DropCause::Budget);
-            return false;
+        let modelled = &mut packet.record.modelled;
+        match decide(ns(packet.record.stamp_ns, start), work, self.budget) {
+            Decision::Run => {}
+            Decision::RunFor(time) => {
+                let coding = locked(&self.costs).encode.predict_coding(coding);
+                modelled.hurried = hurries(coding, time, modelled.points, modelled.left());
+                modelled.degraded |= modelled.hurried;
+            }
+            Decision::GiveUp => {
+                locked(&self.costs).encode.relax();
+                self.dropped(packet, DropCause::Budget);
+                return false;
+            }
         }
         let report = self.guarded(Stage::Encode, packet.depth.sequence, || {
             encode.encode(
@@ -353,7 +366,12 @@ impl<'a> Shared<'a> {
         };
         packet.record.bytes = packet.encoded.payload.len() as u64;
         packet.record.key = packet.encoded.key;
-        locked(&self.costs).encode.observe(coding, ns(start, end));
+        let cost = &mut locked(&self.costs).encode;
+        if packet.record.modelled.hurried {
+            cost.fade();
+        } else {
+            cost.observe(coding, ns(start, end));
+        }
         true
     }
 

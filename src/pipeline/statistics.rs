@@ -357,6 +357,7 @@ mod tests {
                 end_ns: age_ns,
             },
             modelled: ModelReport {
+                hurried: false,
                 points: 1000,
                 explained: 990,
                 spheres: 10,

@@ -149,6 +149,7 @@ impl Model for MockModel<'_> {
         saint.labels.clear();
         saint.labels.extend([self.state, depth.depth[1]]);
         Ok(ModelReport {
+            hurried: false,
             points: 2,
             explained: 2,
             spheres: 1,
