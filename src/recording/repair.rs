@@ -192,8 +192,13 @@ impl Copy {
         bytes: &[u8],
     ) -> Result<(), RecordingError> {
         let mut kind = Kind::Other;
-        if let (Some(camera), Some((header, payload))) = (channel.frames_of(), &item.frame) {
+        if let Some(camera) = channel.frames_of() {
             let progress = self.cameras.entry(camera.to_owned()).or_default();
+            let Some((header, payload)) = &item.frame else {
+                // an image of a channel that does not tell times would pass for one of another
+                progress.broken = true;
+                return Ok(());
+            };
             let reference = match header.key {
                 true => None,
                 false => bytes.get(payload.clone()).and_then(message::reference),
