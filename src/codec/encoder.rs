@@ -2,13 +2,15 @@
 
 use super::choice::{Cheapest, Errors};
 use super::effort::{Effort, TRIALS, Thrift, USUAL};
-use super::header::{Header, Stream, Tolerance};
+use super::header::{Header, Stream};
+use super::options::{CodecOptions, DEFAULT_BOUND};
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
+use super::spent::EncodeReport;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
 use super::surface::{self, to_integer};
-use super::{CodecError, EncodedFrame, Spent, mask, mask_choice, palette_choice};
+use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
@@ -17,93 +19,6 @@ use crate::fit::live::FitOptions;
 use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
-
-/// How a stream is encoded.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CodecOptions {
-    /// A key frame at least every so many frames; 1 makes every frame a key frame.
-    pub keyframe_every: u32,
-    /// How well measurements come back.
-    pub tolerance: Tolerance,
-    /// The contact distance of the fit: errors are weighed by it, and spheres stated as finely.
-    pub contact: ContactDistance,
-    /// The mask may be smoothed where it is noise: few pixels are lost or invented, and counted. Never
-    /// without loss.
-    pub smooth_mask: bool,
-    /// How long to look for fewer bits.
-    pub effort: Effort,
-}
-
-/// The bound, in contact distances, where none is asked for. Within the contact distance lie all but
-/// a few readings of a surface; the bound says from where on a reading is coded by itself. At 2.5
-/// contact distances that costs a quarter fewer bits than at one, for a mean error 6 % larger
-/// (Kinect and D435 sequences).
-pub const DEFAULT_BOUND: f64 = 2.5;
-
-impl CodecOptions {
-    /// Options for spheres fitted to `contact`, with the default bound.
-    #[must_use]
-    pub fn fitted(contact: ContactDistance, keyframe_every: u32) -> Self {
-        Self {
-            keyframe_every,
-            tolerance: Tolerance {
-                contact: contact.scaled(DEFAULT_BOUND),
-                lossless: false,
-            },
-            contact,
-            smooth_mask: false,
-            effort: Effort::Live,
-        }
-    }
-}
-
-/// What one frame cost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct EncodeReport {
-    /// Measured pixels.
-    pub valid_pixels: u32,
-    /// Those that smoothing the mask took away; all others come back.
-    pub lost_pixels: u32,
-    /// Pixels that smoothing the mask added.
-    pub invented_pixels: u32,
-    /// Pixels that touch their sphere after quantisation.
-    pub touching_pixels: u32,
-    /// Spheres in the frame.
-    pub spheres: u32,
-    /// Spheres taken from the frame before to the bit.
-    pub kept_spheres: u32,
-    /// Bytes of header and checksum, and of each section.
-    pub header_bytes: u32,
-    /// Bytes of the section of blocks: the contact map in the coarse.
-    pub block_bytes: u32,
-    /// Bytes of the sphere section.
-    pub sphere_bytes: u32,
-    /// Bytes of the section of pixels: mask and contact map in the fine.
-    pub pixel_bytes: u32,
-    /// Bytes of the residual section.
-    pub residual_bytes: u32,
-    /// Bits of the section of blocks that say where anything was measured.
-    pub fill_bits: u32,
-    /// Bits of the section of pixels that do.
-    pub mask_bits: u32,
-}
-
-impl EncodeReport {
-    /// The payload's bits by what they say.
-    #[must_use]
-    pub fn spent(&self) -> Spent {
-        let bits = |bytes: u32| 8 * u64::from(bytes);
-        let (fills, mask) = (u64::from(self.fill_bits), u64::from(self.mask_bits));
-        Spent {
-            mask: fills + mask,
-            palettes: bits(self.block_bytes) - fills,
-            spheres: bits(self.sphere_bytes),
-            labels: bits(self.pixel_bytes) - mask,
-            residual: bits(self.residual_bytes),
-            header: bits(self.header_bytes),
-        }
-    }
-}
 
 /// The encoder with its reference frame and buffers.
 #[derive(Clone, Debug)]

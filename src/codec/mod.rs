@@ -25,6 +25,7 @@ pub mod label_map;
 pub mod mask;
 mod mask_choice;
 pub mod mixer;
+pub mod options;
 mod palette_choice;
 pub mod palettes;
 pub mod payload;
@@ -40,10 +41,11 @@ mod surface;
 
 pub use decoder::{DecodedFrame, Decoder, Level};
 pub use effort::Effort;
-pub use encoder::{CodecOptions, EncodeReport, Encoder};
+pub use encoder::Encoder;
 pub use header::Tolerance;
+pub use options::CodecOptions;
 pub use payload::{Domain, Payload, PayloadDecoder};
-pub use spent::Spent;
+pub use spent::{EncodeReport, Spent};
 
 /// One encoded frame, as it is stored or sent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -3,6 +3,54 @@
 use serde::{Deserialize, Serialize};
 use std::ops::AddAssign;
 
+/// What one frame cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct EncodeReport {
+    /// Measured pixels.
+    pub valid_pixels: u32,
+    /// Those that smoothing the mask took away; all others come back.
+    pub lost_pixels: u32,
+    /// Pixels that smoothing the mask added.
+    pub invented_pixels: u32,
+    /// Pixels that touch their sphere after quantisation.
+    pub touching_pixels: u32,
+    /// Spheres in the frame.
+    pub spheres: u32,
+    /// Spheres taken from the frame before to the bit.
+    pub kept_spheres: u32,
+    /// Bytes of header and checksum, and of each section.
+    pub header_bytes: u32,
+    /// Bytes of the section of blocks: the contact map in the coarse.
+    pub block_bytes: u32,
+    /// Bytes of the sphere section.
+    pub sphere_bytes: u32,
+    /// Bytes of the section of pixels: mask and contact map in the fine.
+    pub pixel_bytes: u32,
+    /// Bytes of the residual section.
+    pub residual_bytes: u32,
+    /// Bits of the section of blocks that say where anything was measured.
+    pub fill_bits: u32,
+    /// Bits of the section of pixels that do.
+    pub mask_bits: u32,
+}
+
+impl EncodeReport {
+    /// The payload's bits by what they say.
+    #[must_use]
+    pub fn spent(&self) -> Spent {
+        let bits = |bytes: u32| 8 * u64::from(bytes);
+        let (fills, mask) = (u64::from(self.fill_bits), u64::from(self.mask_bits));
+        Spent {
+            mask: fills + mask,
+            palettes: bits(self.block_bytes) - fills,
+            spheres: bits(self.sphere_bytes),
+            labels: bits(self.pixel_bytes) - mask,
+            residual: bits(self.residual_bytes),
+            header: bits(self.header_bytes),
+        }
+    }
+}
+
 /// Bits of sensor payloads by what they say. The parts add up to the payloads; where a section holds
 /// two of them, the limit between them is known to half a bit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
