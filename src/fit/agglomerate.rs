@@ -33,17 +33,20 @@ impl Patch {
         })
     }
 
-    /// Both patches on one surface. Each part is priced by its own misfit: a mean over the union
-    /// would let a large good part hide a small bad one.
+    /// Both patches on one surface.
     fn union(&self, other: &Self) -> Option<Self> {
         let moments = self.moments.union(&other.moments);
+        let (fit, bits) = self.on_one(other, &moments)?;
+        Some(Self { moments, fit, bits })
+    }
+
+    /// The surface of both, of which `moments` are the sums, and the bits. Each part is priced by its
+    /// own misfit: a mean over the union would let a large good part hide a small bad one.
+    #[inline]
+    fn on_one(&self, other: &Self, moments: &Moments) -> Option<(Fit, f64)> {
         let fit = moments.fit()?;
         let part = |p: &Self| p.moments.count * bits_per_point(p.moments.misfit(&fit.sphere));
-        Some(Self {
-            moments,
-            fit,
-            bits: SPHERE_BITS + part(self) + part(other),
-        })
+        Some((fit, SPHERE_BITS + part(self) + part(other)))
     }
 }
 
@@ -112,6 +115,8 @@ pub struct Agglomeration {
     patches: Vec<Patch>,
     parent: Vec<u32>,
     age: Vec<u32>,
+    /// Ages when the last run began.
+    former: Vec<u32>,
     neighbours: Vec<Neighbours>,
     links: Vec<Link>,
     heap: BinaryHeap<Union>,
@@ -125,6 +130,7 @@ impl Agglomeration {
         self.patches.clear();
         self.parent.clear();
         self.age.clear();
+        self.former.clear();
         self.heap.clear();
         self.neighbours.clear();
         self.links.clear();
@@ -200,8 +206,14 @@ impl Agglomeration {
 
     /// Unites touching patches, best saving first, while there is one and `stop` says false: it is
     /// asked once in so many pairs. `allowed` restricts which pairs may be united (patches of one
-    /// cell). False where it was stopped.
-    pub fn run(&mut self, allowed: impl Fn(u32, u32) -> bool, stop: &dyn Fn() -> bool) -> bool {
+    /// cell); pairs that the run before has `tried` are priced again where one of the two has grown
+    /// since. False where it was stopped.
+    pub fn run(
+        &mut self,
+        allowed: impl Fn(u32, u32) -> bool,
+        tried: impl Fn(u32, u32) -> bool,
+        stop: &dyn Fn() -> bool,
+    ) -> bool {
         self.heap.clear();
         self.seen.resize(self.patches.len(), 0);
         let mut pairs = 0u32;
@@ -213,6 +225,7 @@ impl Agglomeration {
             if self.root(a) != a {
                 continue;
             }
+            let still = self.is_as_before(a);
             self.stamp += 1;
             let mut entry = self.neighbours[a as usize].first;
             while entry != NONE {
@@ -220,14 +233,17 @@ impl Agglomeration {
                 let b = self.root(to);
                 if a < b && self.seen[b as usize] != self.stamp && allowed(a, b) {
                     self.seen[b as usize] = self.stamp;
-                    if stopped() {
-                        return false;
+                    if !(still && self.is_as_before(b) && tried(a, b)) {
+                        if stopped() {
+                            return false;
+                        }
+                        self.propose(a, b);
                     }
-                    self.propose(a, b);
                 }
                 entry = next;
             }
         }
+        self.former.clone_from(&self.age);
         while let Some(best) = self.heap.pop() {
             let (a, b) = (self.root(best.a), self.root(best.b));
             if a == b {
@@ -249,10 +265,15 @@ impl Agglomeration {
         true
     }
 
+    /// True where patch `k` has not grown since the last run began.
+    fn is_as_before(&self, k: u32) -> bool {
+        self.former.get(k as usize) == Some(&self.age[k as usize])
+    }
+
     fn propose(&mut self, a: u32, b: u32) {
         let (pa, pb) = (&self.patches[a as usize], &self.patches[b as usize]);
-        if let Some(u) = pa.union(pb) {
-            let gain = pa.bits + pb.bits - u.bits;
+        if let Some((_, bits)) = pa.on_one(pb, &pa.moments.union(&pb.moments)) {
+            let gain = pa.bits + pb.bits - bits;
             if gain > 0.0 {
                 let age = self.age[a as usize].wrapping_add(self.age[b as usize]);
                 self.heap.push(Union {

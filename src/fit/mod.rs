@@ -14,6 +14,7 @@ pub mod framewise;
 mod hypothesis;
 mod lanes;
 pub mod live;
+mod meetings;
 mod merge;
 pub mod moments;
 pub mod motion;
