@@ -35,27 +35,22 @@ pub const EMPTY: Palette = [NO_SPHERE; PALETTE];
 /// Candidate spheres of one block, each once, in order of preference.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Candidates {
-    /// All lanes are compared at once: those behind the last are 0 and not asked.
-    ids: [u16; LANES],
+    ids: [u16; CANDIDATES],
     len: usize,
+    /// Bit `id % 64` is set for each of the list: most of those not in it are told by that alone.
+    seen: u64,
 }
-
-/// Room of the list of candidates, one vector.
-const LANES: usize = 16;
-const _: () = assert!(CANDIDATES < LANES);
 
 impl Candidates {
     /// Adds a sphere unless it is there already, is none, or the list is full.
     #[inline(always)]
     pub fn add(&mut self, id: u16) {
-        let mut same = 0u32;
-        for (i, &known) in self.ids.iter().enumerate() {
-            same |= u32::from(known == id) << i;
-        }
-        let there = same & ((1 << self.len) - 1) != 0;
+        let bit = 1 << (id % 64);
+        let there = self.seen & bit != 0 && self.ids().contains(&id);
         if id < NO_SPHERE && self.len < CANDIDATES && !there {
             self.ids[self.len] = id;
             self.len += 1;
+            self.seen |= bit;
         }
     }
 
@@ -93,6 +88,7 @@ impl Default for BlockContacts {
 impl BlockContacts {
     /// The free entry of the palette that a sphere for the untouched pixels would take; none where
     /// it would save nothing.
+    #[inline(always)]
     #[must_use]
     pub fn wants(&self) -> Option<usize> {
         let free = self.palette.iter().position(|&id| id == NO_SPHERE)?;
@@ -262,30 +258,28 @@ fn cover(valid: u64, ids: &[u16], touch: &[Touch; CANDIDATES]) -> BlockContacts 
     let mut rough = valid;
     for along_ray in [true, false] {
         while n < PALETTE {
-            let mut best = (0u32, 0usize);
+            let mut best = (SPLIT_BITS[n], None);
             for (k, t) in touch.iter().enumerate().take(ids.len()) {
-                let pixels = if along_ray { t.along_ray } else { t.touching };
+                let pixels = if along_ray { t.along_ray } else { t.touching } & !covered;
+                let most = MISS_BITS * pixels.count_ones();
+                if most <= best.0 {
+                    continue;
+                }
                 // what touches nothing has a border either way
-                let gain = if along_ray {
-                    saving(pixels & !covered)
-                } else {
-                    MISS_BITS * (pixels & !covered).count_ones()
-                };
+                let gain = if along_ray { saving(pixels) } else { most };
                 if gain > best.0 {
-                    best = (gain, k);
+                    best = (gain, Some(k));
                 }
             }
-            if best.0 <= SPLIT_BITS[n] {
-                break;
-            }
-            let taken = touch[best.1];
+            let Some(k) = best.1 else { break };
+            let taken = touch[k];
             covered |= if along_ray {
                 taken.along_ray
             } else {
                 taken.touching
             };
             chosen[n] = taken;
-            out.palette[n] = ids[best.1];
+            out.palette[n] = ids[k];
             n += 1;
         }
         if along_ray {
@@ -342,8 +336,18 @@ fn share(left: u64, reached: &[u64; PALETTE], n: usize, pixels: &mut [u64; PALET
     let size = reached.map(u64::count_ones);
     let mut current = 0;
     for j in 0..BLOCK {
-        let mut row = (left >> (8 * j)) as u32 & 0xFF;
+        let rest = left & (u64::MAX << (8 * j));
+        if rest & !reached[current] == 0 {
+            // whoever is on reaches all that is left
+            pixels[current] |= rest;
+            return;
+        }
+        let mut row = (rest >> (8 * j)) as u32 & 0xFF;
         while row != 0 {
+            if row & !((reached[current] >> (8 * j)) as u32) == 0 {
+                pixels[current] |= u64::from(row) << (8 * j);
+                break;
+            }
             let start = row.trailing_zeros();
             let mut best = (0, 0);
             for c in 0..n {

@@ -114,16 +114,29 @@ impl Moments {
     #[inline]
     #[must_use]
     pub fn misfit(&self, sphere: &Sphere) -> f64 {
+        let [misfit] = self.misfits(&form_of(sphere).map(|x| [x]));
+        misfit
+    }
+
+    /// [`misfit`](Self::misfit) of several spheres, the k-th number of each in array k
+    /// (see [`form_of`]).
+    #[inline(always)]
+    #[must_use]
+    pub fn misfits<const N: usize>(&self, forms: &[[f64; N]; 4]) -> [f64; N] {
         let [o, u, v, s, w, uu, uv, us, uw, vv, vs, vw, ss, sw, ww] = self.sums;
-        let (a, b) = (f64::from(sphere.a), f64::from(sphere.m.x));
-        let (c, e) = (f64::from(sphere.m.y), f64::from(sphere.m.z));
-        let square = a * (a * ss + 2.0 * (b * us + c * vs + e * s - sw))
-            + b * (b * uu + 2.0 * (c * uv + e * u - uw))
-            + c * (c * vv + 2.0 * (e * v - vw))
-            + e * (e * o - 2.0 * w)
-            + ww;
-        let slope = 1.0 + a * self.power();
-        square.max(0.0) / (slope * slope * self.count.max(1.0))
+        let (power, count) = (self.power(), self.count.max(1.0));
+        let mut misfits = [0.0; N];
+        for (i, misfit) in misfits.iter_mut().enumerate() {
+            let [a, b, c, e] = [forms[0][i], forms[1][i], forms[2][i], forms[3][i]];
+            let square = a * (a * ss + 2.0 * (b * us + c * vs + e * s - sw))
+                + b * (b * uu + 2.0 * (c * uv + e * u - uw))
+                + c * (c * vv + 2.0 * (e * v - vw))
+                + e * (e * o - 2.0 * w)
+                + ww;
+            let slope = 1.0 + a * power;
+            *misfit = square.max(0.0) / (slope * slope * count);
+        }
+        misfits
     }
 
     /// Mean inverse depth and mean ray (u, v) of the points.
@@ -223,6 +236,13 @@ impl Moments {
     pub fn bits(&self, misfit: f64) -> f64 {
         SPHERE_BITS + self.count * bits_per_point(misfit)
     }
+}
+
+/// The numbers a, b, c and e of `w = a·s + b·u + c·v + e`.
+#[inline(always)]
+#[must_use]
+pub fn form_of(sphere: &Sphere) -> [f64; 4] {
+    [sphere.a, sphere.m.x, sphere.m.y, sphere.m.z].map(f64::from)
 }
 
 /// Sum of eight lanes, by halves.

@@ -8,9 +8,10 @@
 use super::agglomerate::Patch;
 use super::contact_distance::ContactDistance;
 use super::live::{Blocks, FitReport, MIN_BLOCK_PIXELS};
-use super::moments::{Fit, Moments, bits_per_point};
-use super::motion::{self, Motion, Observation};
+use super::moments::{Fit, Moments, bits_per_point, form_of};
+use super::motion::{self, Motion, Observation, Observations};
 use super::sphere::Sphere;
+use crate::contact_map::assign::{PALETTE, Palette};
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::Rays;
 use glam::DVec3;
@@ -28,10 +29,11 @@ pub(super) const TIGHT: f64 = 0.3;
 #[derive(Debug, Default)]
 pub(super) struct Workspace {
     sums: Vec<Moments>,
-    observations: Vec<Observation>,
+    observations: Observations,
     /// Slots whose sphere was refitted.
     changed: Vec<bool>,
     spheres: Vec<Option<Sphere>>,
+    forms: Vec<[f64; 4]>,
     pub(super) used: Vec<u32>,
 }
 
@@ -42,6 +44,7 @@ impl Workspace {
             sums: Vec::with_capacity(spheres),
             changed: Vec::with_capacity(spheres),
             spheres: Vec::with_capacity(spheres),
+            forms: Vec::with_capacity(spheres),
             used: Vec::with_capacity(spheres),
             ..Self::default()
         }
@@ -62,15 +65,10 @@ pub(super) fn start(
     let motion = follow(rays, blocks, slots, distance, work);
     work.changed.clear();
     work.changed.resize(slots.len(), true);
-    choose(rays, blocks, slots, LOOSE, &work.changed);
+    choose(rays, blocks, slots, LOOSE, work);
     work.changed.fill(false);
     refit(blocks, slots, work, report);
-    choose(rays, blocks, slots, TIGHT, &work.changed);
-    for (spheres, valid) in blocks.spheres.iter().zip(&blocks.valid) {
-        if spheres[0] != NO_SPHERE {
-            report.warm_pixels += valid.count_ones();
-        }
-    }
+    report.warm_pixels = choose(rays, blocks, slots, TIGHT, work);
     motion
 }
 
@@ -98,7 +96,7 @@ fn follow(
         ) {
             let (w, u, v) = blocks.moments[k].mean();
             let z = 1.0 / w;
-            work.observations.push(Observation {
+            work.observations.push(&Observation {
                 point: DVec3::new(u * z, v * z, z),
                 reach: distance.at(z),
                 sphere: patch.fit.sphere,
@@ -141,54 +139,120 @@ fn price(blocks: &Blocks, chosen: impl Iterator<Item = usize>, spheres: &[Option
 }
 
 /// Gives each block the best of the last frame's spheres around it, where it is good enough.
-/// A block that a sphere which is not `changed` holds well has been through this.
-fn choose(rays: &Rays, blocks: &mut Blocks, slots: &[Option<Patch>], limit: f64, changed: &[bool]) {
-    let columns = rays.block_columns;
-    let before = &blocks.before;
-    for k in 0..before.len() {
-        let is = blocks.spheres[k][0];
-        let holds = f64::from(blocks.misfit[k]) <= TIGHT
-            && changed.get(usize::from(is)).is_some_and(|c| !*c);
-        if holds || blocks.valid[k].count_ones() < MIN_BLOCK_PIXELS {
-            continue;
+/// A block that a sphere which is not `changed` holds well has been through this. Returns the
+/// measured pixels of blocks that got one.
+fn choose(
+    rays: &Rays,
+    blocks: &mut Blocks,
+    slots: &[Option<Patch>],
+    limit: f64,
+    work: &mut Workspace,
+) -> u32 {
+    work.forms.clear();
+    work.forms.extend(slots.iter().map(|slot| match slot {
+        Some(patch) => form_of(&patch.fit.sphere),
+        None => NO_FORM,
+    }));
+    let choice = Choice {
+        columns: rays.block_columns,
+        valid: &blocks.valid,
+        moments: &blocks.moments,
+        before: &blocks.before,
+        forms: &work.forms,
+        changed: &work.changed,
+        limit,
+    };
+    choose_all(&choice, &mut blocks.spheres, &mut blocks.misfit)
+}
+
+/// What [`choose`] reads.
+struct Choice<'a> {
+    columns: usize,
+    valid: &'a [u64],
+    moments: &'a [Moments],
+    before: &'a [Palette],
+    forms: &'a [[f64; 4]],
+    changed: &'a [bool],
+    limit: f64,
+}
+
+/// The numbers of a slot without a sphere: it fits nothing.
+const NO_FORM: [f64; 4] = [f64::NAN; 4];
+/// Others a block may lie on: those it had before besides its own, and those around it.
+const OTHERS: usize = 8;
+const _: () = assert!(PALETTE - 1 + 4 <= OTHERS);
+
+impl Choice<'_> {
+    #[inline(always)]
+    fn form(&self, id: u16) -> [f64; 4] {
+        self.forms.get(usize::from(id)).copied().unwrap_or(NO_FORM)
+    }
+
+    /// The best of the spheres around block `k` where it is better than `best`.
+    #[inline(always)]
+    fn around(&self, k: usize, mut best: (f64, u16)) -> (f64, u16) {
+        let (columns, before) = (self.columns, self.before);
+        let bx = k % columns;
+        let places = [
+            (bx > 0).then(|| k - 1),
+            (bx + 1 < columns).then_some(k + 1),
+            k.checked_sub(columns),
+            (k + columns < before.len()).then_some(k + columns),
+        ];
+        let mut ids = [NO_SPHERE; OTHERS];
+        ids[..PALETTE - 1].copy_from_slice(&before[k][1..]);
+        for (id, place) in ids[PALETTE - 1..].iter_mut().zip(places) {
+            *id = place.map_or(NO_SPHERE, |n| before[n][0]);
         }
-        let own = if blocks.spheres[k][0] == NO_SPHERE {
-            before[k][0]
-        } else {
-            blocks.spheres[k][0]
-        };
-        let sums = &blocks.moments[k];
-        let misfit = |id: u16| match slots.get(usize::from(id)) {
-            Some(Some(patch)) => sums.misfit(&patch.fit.sphere),
-            _ => f64::INFINITY,
-        };
-        let mut best = (misfit(own), own);
-        // hysteresis: only a block that its own sphere does not hold looks around
-        if best.0 > TIGHT {
-            let bx = k % columns;
-            let around = [
-                (bx > 0).then(|| k - 1),
-                (bx + 1 < columns).then_some(k + 1),
-                k.checked_sub(columns),
-                (k + columns < before.len()).then_some(k + columns),
-            ];
-            let others = before[k][1..]
-                .iter()
-                .copied()
-                .chain(around.into_iter().flatten().map(|n| before[n][0]));
-            for id in others {
-                if id != NO_SPHERE && id != best.1 {
-                    let m = misfit(id);
-                    if m < best.0 {
-                        best = (m, id);
-                    }
-                }
+        if ids.iter().all(|&id| id == best.1 || id == NO_SPHERE) {
+            return best;
+        }
+        // all at once: how many there are no branch can foresee
+        let mut forms = [[0.0; OTHERS]; 4];
+        for (i, &id) in ids.iter().enumerate() {
+            let form = self.form(id);
+            for (lanes, x) in forms.iter_mut().zip(form) {
+                lanes[i] = x;
             }
         }
-        let near = best.0 <= limit;
-        blocks.spheres[k][0] = if near { best.1 } else { NO_SPHERE };
-        blocks.misfit[k] = if near { best.0 as f32 } else { f32::INFINITY };
+        let misfits = self.moments[k].misfits(&forms);
+        for (&id, &misfit) in ids.iter().zip(&misfits) {
+            let better = misfit < best.0;
+            best.0 = if better { misfit } else { best.0 };
+            best.1 = if better { id } else { best.1 };
+        }
+        best
     }
+}
+
+#[allow(unsafe_code)] // run-time dispatch generated by the macro
+#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
+fn choose_all<'a>(choice: &Choice<'a>, spheres: &mut [[u16; 2]], misfits: &mut [f32]) -> u32 {
+    let mut pixels = 0;
+    for (k, (sphere, misfit)) in spheres.iter_mut().zip(misfits).enumerate() {
+        let is = sphere[0];
+        let count = choice.valid[k].count_ones();
+        let unchanged = choice.changed.get(usize::from(is)).is_some_and(|c| !*c);
+        if f64::from(*misfit) <= TIGHT && unchanged {
+            pixels += count;
+            continue;
+        }
+        if count < MIN_BLOCK_PIXELS {
+            continue;
+        }
+        let own = if is == NO_SPHERE { choice.before[k][0] } else { is };
+        let [fits] = choice.moments[k].misfits(&choice.form(own).map(|x| [x]));
+        let mut best = (if fits.is_nan() { f64::INFINITY } else { fits }, own);
+        // hysteresis: only a block that its own sphere does not hold looks around
+        if best.0 > TIGHT {
+            best = choice.around(k, best);
+        }
+        let near = best.0 <= choice.limit;
+        sphere[0] = if near { best.1 } else { NO_SPHERE };
+        *misfit = if near { best.0 as f32 } else { f32::INFINITY };
+        pixels += if near { count } else { 0 };
+    }
+    pixels
 }
 
 /// Refits every sphere from its blocks, or keeps it.
