@@ -191,10 +191,9 @@ impl Block<'_> {
     pub fn hold(&self, first: u16) -> (BlockContacts, bool) {
         // most blocks lie within reach of their sphere along the ray: the cheaper question first
         if let Some(Some(sphere)) = self.spheres.get(usize::from(first)) {
-            let near = self
-                .contact
-                .along_ray(self.plane, self.rays, self.at, sphere);
-            if self.valid & !near == 0 && self.valid.count_ones() > 8 {
+            let contact = self.contact;
+            let all = contact.all_along_ray(self.plane, self.rays, self.at, sphere);
+            if all && self.valid.count_ones() > 8 {
                 return (self.whole(first), true);
             }
         }

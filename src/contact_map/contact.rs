@@ -86,88 +86,201 @@ impl Contact {
         }
     }
 
+    /// True where every measurement of the block is within reach along the ray, which most often a
+    /// part of the block tells.
+    #[inline(always)]
+    #[must_use]
+    pub fn all_along_ray(
+        &self,
+        plane: &[u16],
+        rays: &Rays,
+        at: (usize, usize),
+        sphere: &Sphere,
+    ) -> bool {
+        let Some(patch) = Patch::new(plane, rays, at) else {
+            return false;
+        };
+        let test = Test::new(self, &patch, sphere);
+        let mut beyond = [0u32; BLOCK];
+        for j in 0..BLOCK {
+            let Some(raw) = patch.row(j) else {
+                return false;
+            };
+            let (mv, vv) = test.row(j);
+            for i in 0..BLOCK {
+                let point = test.point(raw[i], i, mv, vv);
+                let off = !test.along_ray(&point) & (point.z > 0.0);
+                beyond[i] |= if off { u32::MAX } else { 0 };
+            }
+            if j % HALF == HALF - 1 && beyond.iter().fold(0, |any, b| any | b) != 0 {
+                return false;
+            }
+        }
+        true
+    }
+
     /// Pixels of the block at `at` whose measurement touches `sphere` on the side the camera sees.
     /// Pixels without a measurement may be among them.
     #[inline(always)]
     #[must_use]
     pub fn pixels(&self, plane: &[u16], rays: &Rays, at: (usize, usize), sphere: &Sphere) -> Touch {
-        self.test::<true>(plane, rays, at, sphere)
-    }
-
-    /// Of [`pixels`](Self::pixels) those within reach along the ray alone, which is cheaper.
-    #[inline(always)]
-    #[must_use]
-    pub fn along_ray(
-        &self,
-        plane: &[u16],
-        rays: &Rays,
-        at: (usize, usize),
-        sphere: &Sphere,
-    ) -> u64 {
-        self.test::<false>(plane, rays, at, sphere).along_ray
-    }
-
-    /// The tests, `touching` only where `BOTH`.
-    ///
-    /// `|F + a·τ²|·√q ≤ τ·F′` cannot hold where the slope `F′` is negative (the other side), so
-    /// its sign is not asked.
-    #[inline(always)]
-    fn test<const BOTH: bool>(
-        &self,
-        plane: &[u16],
-        rays: &Rays,
-        at: (usize, usize),
-        sphere: &Sphere,
-    ) -> Touch {
-        let stride = rays.stride();
-        let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
-        let mut touch = Touch::default();
-        let first = y0 * stride + x0;
-        let (Some(u), Some(v), Some(rows)) = (
-            rays.u[x0..].first_chunk::<BLOCK>(),
-            rays.v[y0..].first_chunk::<BLOCK>(),
-            plane.get(first..first + (BLOCK - 1) * stride + BLOCK),
-        ) else {
-            return touch;
+        let Some(patch) = Patch::new(plane, rays, at) else {
+            return Touch::default();
         };
-        let (a, m, side) = (sphere.a, sphere.m, if sphere.far { -1.0 } else { 1.0 });
-        let slope = (m.length_squared() + 4.0 * a).max(0.0).sqrt();
-        let (a_short, a_long) = (a * self.along_ray * self.along_ray, a * BEYOND * BEYOND);
-        let (uu, mu) = (u.map(|u| u * u), u.map(|u| m.x * u));
+        let test = Test::new(self, &patch, sphere);
         // columns of bits: bit j of lane i is row j, column i
         let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
         for j in (0..BLOCK).rev() {
-            let Some(row) = rows[j * stride..].first_chunk::<BLOCK>() else {
-                return touch;
+            let Some(raw) = patch.row(j) else {
+                return Touch::default();
             };
-            let (mv, vv) = (m.y * v[j], v[j] * v[j]);
+            let (mv, vv) = test.row(j);
             for i in 0..BLOCK {
-                let z = f32::from(row[i]) * rays.unit;
-                // the decoder's arithmetic: whether the ray meets the sphere must not differ
-                let (q, l) = (uu[i] + vv + 1.0, mu[i] + mv + m.z);
-                let meets = l * l + 4.0 * a * q >= 0.0;
-                let grown = self.per_z2 * (z * z);
-                let reach = if grown > self.floor {
-                    grown
-                } else {
-                    self.floor
-                };
-                let squared = reach * reach;
-                let aqz = a * q * z;
-                let value = (aqz + l) * z - 1.0;
-                let (length, within) = (q.sqrt(), side * (aqz + aqz + l) * reach);
-                let reached = (value + a_short * squared).abs() * length <= self.along_ray * within;
-                along[i] = (along[i] + along[i]) | u32::from(reached & meets);
-                if BOTH {
-                    let close = (value - a * squared).abs() <= slope * reach;
-                    let on_ray = (value + a_long * squared).abs() * length <= BEYOND * within;
-                    near[i] = (near[i] + near[i]) | u32::from(close & on_ray & meets);
-                }
+                let point = test.point(raw[i], i, mv, vv);
+                along[i] = (along[i] + along[i]) | u32::from(test.along_ray(&point));
+                near[i] = (near[i] + near[i]) | u32::from(test.near(&point));
             }
         }
-        touch.touching = transposed(near);
-        touch.along_ray = transposed(along);
-        touch
+        Touch {
+            touching: transposed(near),
+            along_ray: transposed(along),
+        }
+    }
+}
+
+/// Rows of a block after which it is asked whether all are within reach so far.
+const HALF: usize = BLOCK / 2;
+
+/// Rays and depth integers of a block.
+struct Patch<'a> {
+    u: &'a [f32; BLOCK],
+    v: &'a [f32; BLOCK],
+    rows: &'a [u16],
+    stride: usize,
+    unit: f32,
+}
+
+impl<'a> Patch<'a> {
+    #[inline(always)]
+    fn new(plane: &'a [u16], rays: &'a Rays, at: (usize, usize)) -> Option<Self> {
+        let stride = rays.stride();
+        let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
+        let first = y0 * stride + x0;
+        Some(Self {
+            u: rays.u.get(x0..)?.first_chunk()?,
+            v: rays.v.get(y0..)?.first_chunk()?,
+            rows: plane.get(first..first + (BLOCK - 1) * stride + BLOCK)?,
+            stride,
+            unit: rays.unit,
+        })
+    }
+
+    #[inline(always)]
+    fn row(&self, j: usize) -> Option<&[u16; BLOCK]> {
+        self.rows.get(j * self.stride..)?.first_chunk()
+    }
+}
+
+/// One sphere against the pixels of one block: what does not change from pixel to pixel.
+struct Test<'a> {
+    floor: f32,
+    per_z2: f32,
+    share: f32,
+    unit: f32,
+    v: &'a [f32; BLOCK],
+    uu: [f32; BLOCK],
+    mu: [f32; BLOCK],
+    my: f32,
+    mz: f32,
+    a: f32,
+    side: f32,
+    slope: f32,
+}
+
+/// One pixel in that test.
+struct Point {
+    /// Depth; 0 without a measurement.
+    z: f32,
+    /// Squared length of the ray.
+    q: f32,
+    /// F at the point.
+    value: f32,
+    /// Slope of F along the ray, times its length and the contact distance.
+    within: f32,
+    /// The contact distance, and its square.
+    reach: f32,
+    squared: f32,
+    /// The ray meets the sphere.
+    meets: bool,
+}
+
+impl<'a> Test<'a> {
+    #[inline(always)]
+    fn new(contact: &Contact, patch: &Patch<'a>, sphere: &Sphere) -> Self {
+        let (a, m) = (sphere.a, sphere.m);
+        Self {
+            floor: contact.floor,
+            per_z2: contact.per_z2,
+            share: contact.along_ray,
+            unit: patch.unit,
+            v: patch.v,
+            uu: patch.u.map(|u| u * u),
+            mu: patch.u.map(|u| m.x * u),
+            my: m.y,
+            mz: m.z,
+            a,
+            side: if sphere.far { -1.0 } else { 1.0 },
+            slope: (m.length_squared() + 4.0 * a).max(0.0).sqrt(),
+        }
+    }
+
+    /// m.y·v and v² of row `j`.
+    #[inline(always)]
+    fn row(&self, j: usize) -> (f32, f32) {
+        (self.my * self.v[j], self.v[j] * self.v[j])
+    }
+
+    #[inline(always)]
+    fn point(&self, raw: u16, i: usize, mv: f32, vv: f32) -> Point {
+        let z = f32::from(raw) * self.unit;
+        // the decoder's arithmetic: whether the ray meets the sphere must not differ
+        let (q, l) = (self.uu[i] + vv + 1.0, self.mu[i] + mv + self.mz);
+        let meets = l * l + 4.0 * self.a * q >= 0.0;
+        let grown = self.per_z2 * (z * z);
+        let reach = if grown > self.floor {
+            grown
+        } else {
+            self.floor
+        };
+        let aqz = self.a * q * z;
+        Point {
+            z,
+            q,
+            value: (aqz + l) * z - 1.0,
+            within: self.side * (aqz + aqz + l) * reach,
+            reach,
+            squared: reach * reach,
+            meets,
+        }
+    }
+
+    /// `|F + a·τ²|·√q ≤ τ·F′` for a `share` of τ, squared with the sign kept: it cannot hold where
+    /// the slope `F′` is negative (the other side).
+    #[inline(always)]
+    fn within(&self, p: &Point, share: f32) -> bool {
+        let value = p.value + self.a * share * share * p.squared;
+        value * value * p.q <= share * share * (p.within * p.within.abs())
+    }
+
+    #[inline(always)]
+    fn along_ray(&self, p: &Point) -> bool {
+        self.within(p, self.share) & p.meets
+    }
+
+    #[inline(always)]
+    fn near(&self, p: &Point) -> bool {
+        let close = (p.value - self.a * p.squared).abs() <= self.slope * p.reach;
+        close & self.within(p, BEYOND) & p.meets
     }
 }
 

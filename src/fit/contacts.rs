@@ -130,11 +130,14 @@ impl View<'_> {
     /// sphere.
     #[inline(always)]
     fn surely_within(&self, k: usize, at: (usize, usize)) -> bool {
+        let sum = self.valid[k].count_ones() as f32 * self.misfit[k] * SUM_TO_REACH;
+        if sum > 1.0 {
+            return false;
+        }
         let (u, v) = (&self.rays.u[at.0 * BLOCK..], &self.rays.v[at.1 * BLOCK..]);
         let most = |a: f32, b: f32| (a * a).max(b * b);
         let q = 1.0 + most(u[0], u[BLOCK - 1]) + most(v[0], v[BLOCK - 1]);
-        let count = self.valid[k].count_ones();
-        count as f32 * self.misfit[k] * (q * SUM_TO_REACH) <= 1.0
+        sum * q <= 1.0
     }
 
     /// The sphere a block is most likely to lie on; `now` is what it has.
