@@ -122,13 +122,16 @@ impl Validity {
     /// Where the frame does not have `width * height` pixels: sources guarantee it.
     pub fn clean(&self, rays: &Rays, frame: &DepthFrame, plane: &mut Vec<u16>) -> usize {
         assert_eq!(frame.depth.len(), rays.width * rays.height);
-        let stride = rays.stride();
         plane.resize(rays.padded(), 0);
+        self.clean_rows(rays, &frame.depth, plane)
+    }
+
+    /// [`clean`](Self::clean) for some rows of a frame and those of the plane they go to.
+    pub fn clean_rows(&self, rays: &Rays, depth: &[u16], plane: &mut [u16]) -> usize {
         let mut count = 0;
-        for (row, out) in frame
-            .depth
+        for (row, out) in depth
             .chunks_exact(rays.width)
-            .zip(plane.chunks_exact_mut(stride))
+            .zip(plane.chunks_exact_mut(rays.stride()))
         {
             count += self.clean_row(row, &mut out[..rays.width]);
         }

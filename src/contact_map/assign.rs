@@ -86,6 +86,17 @@ impl Default for BlockContacts {
 }
 
 impl BlockContacts {
+    /// No sphere touches any of the `valid` pixels.
+    #[inline(always)]
+    #[must_use]
+    pub fn untouched(valid: u64) -> Self {
+        Self {
+            missing: valid,
+            rough: valid,
+            ..Self::default()
+        }
+    }
+
     /// The free entry of the palette that a sphere for the untouched pixels would take; none where
     /// it would save nothing.
     #[inline(always)]

@@ -317,7 +317,7 @@ fn sums_of(
     keep: u64,
     distance: &ContactDistance,
 ) -> Moments {
-    moments::of_block(plane, rays, at, keep, |z| weight(distance, z))
+    moments::of_block((plane, 0), rays, at, keep, |z| weight(distance, z))
 }
 
 /// The pixels nearer and farther than the middle of the block's range of inverse depth.

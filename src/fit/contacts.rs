@@ -156,7 +156,9 @@ fn hold_row<'a>(view: &View<'a>, by: usize, row: &mut [BlockContacts], pending: 
     for (bx, (contacts, pending)) in row.iter_mut().zip(pending).enumerate() {
         let k = by * view.rays.block_columns + bx;
         *pending = false;
-        if view.valid[k] != 0 {
+        if view.valid[k] == 0 {
+            *contacts = BlockContacts::default();
+        } else {
             let first = view.likely(k, NO_SPHERE);
             let block = view.block((bx, by), view.valid[k]);
             let (held, done) = if view.surely_within(k, (bx, by)) {

@@ -104,7 +104,13 @@ impl Meetings {
         self.marks.resize(columns, 0);
         if let Some(turn) = turn {
             let row = &leaders[y * columns..(y + 1) * columns];
-            mark(row, row.get(1..).unwrap_or_default(), turn as u16, RIGHT, &mut self.marks);
+            mark(
+                row,
+                row.get(1..).unwrap_or_default(),
+                turn as u16,
+                RIGHT,
+                &mut self.marks,
+            );
             if y + 1 < rows {
                 let next = &leaders[(y + 1) * columns..(y + 2) * columns];
                 mark(row, next, turn as u16, BELOW, &mut self.marks);

@@ -263,7 +263,7 @@ const FROM_MIDDLE: [f32; BLOCK] = [-3.5, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5];
 /// then known.
 #[inline(always)]
 fn local_sums<const FULL: bool>(
-    plane: &[u16],
+    (plane, first): (&[u16], usize),
     rays: &Rays,
     at: (usize, usize),
     keep: u64,
@@ -276,7 +276,8 @@ fn local_sums<const FULL: bool>(
     let (x0, y0) = (at.0 * BLOCK, at.1 * BLOCK);
     let u = rays.u[x0..].first_chunk::<BLOCK>()?;
     let v = rays.v[y0..].first_chunk::<BLOCK>()?;
-    let rows = plane.get(y0 * stride + x0..(y0 + BLOCK - 1) * stride + x0 + BLOCK)?;
+    let top = (at.1 - first) * BLOCK * stride + x0;
+    let rows = plane.get(top..top + (BLOCK - 1) * stride + BLOCK)?;
     // sums are taken about the depth of one of the pixels
     let one = if FULL {
         27
@@ -354,15 +355,15 @@ fn local_sums<const FULL: bool>(
     ))
 }
 
-/// Moments of the block at (`bx`, `by`) of a padded plane of depth integers (0 = invalid), with
-/// the pixels of `keep` only, all of them measured (bit `8·row + column`). `weight` gives ω from the block's mean depth
-/// in metres.
+/// Moments of the block `at` column and row of a padded plane of depth integers (0 = invalid), given
+/// from some row of blocks on, with the pixels of `keep` only, all of them measured (bit
+/// `8·row + column`). `weight` gives ω from the block's mean depth in metres.
 ///
 /// Sums are single precision about the block's own centre (64 terms, no cancellation), then moved
 /// to the camera's axes in double precision.
 #[inline(always)]
 pub fn of_block(
-    plane: &[u16],
+    plane: (&[u16], usize),
     rays: &Rays,
     at: (usize, usize),
     keep: u64,

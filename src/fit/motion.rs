@@ -208,7 +208,13 @@ pub fn estimate(observations: &Observations) -> Option<Motion> {
     for width in [8.0, 3.0, 1.5, 1.0] {
         let mut system = [[0.0f64; 7]; 6];
         let turn = rotation(-omega).to_cols_array_2d();
-        sum_up(&observations.groups, &turn, shift.to_array(), width, &mut system);
+        sum_up(
+            &observations.groups,
+            &turn,
+            shift.to_array(),
+            width,
+            &mut system,
+        );
         // a frame's motion is some centimetres and some hundredths of a radian unless the data say more
         for (i, row) in system.iter_mut().enumerate() {
             row[i] += 400.0;
@@ -245,7 +251,11 @@ fn sum_up(
             let [x, y, z] = gradient;
             let square = x * x + y * y + z * z;
             let length = square.sqrt();
-            let per_length = if square > 0.0 { g.per_reach[i] / length } else { 0.0 };
+            let per_length = if square > 0.0 {
+                g.per_reach[i] / length
+            } else {
+                0.0
+            };
             let (pp, mp) = (
                 p[0] * p[0] + p[1] * p[1] + p[2] * p[2],
                 m[0] * p[0] + m[1] * p[1] + m[2] * p[2],

@@ -240,7 +240,11 @@ fn choose_all<'a>(choice: &Choice<'a>, spheres: &mut [[u16; 2]], misfits: &mut [
         if count < MIN_BLOCK_PIXELS {
             continue;
         }
-        let own = if is == NO_SPHERE { choice.before[k][0] } else { is };
+        let own = if is == NO_SPHERE {
+            choice.before[k][0]
+        } else {
+            is
+        };
         let [fits] = choice.moments[k].misfits(&choice.form(own).map(|x| [x]));
         let mut best = (if fits.is_nan() { f64::INFINITY } else { fits }, own);
         // hysteresis: only a block that its own sphere does not hold looks around
