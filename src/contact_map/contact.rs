@@ -389,9 +389,12 @@ mod tests {
                 if next() < 0.1 || w.is_nan() || w <= 0.0 { 0 } else { ((1.0 / f64::from(w) + (next() - 0.5) * 0.1) * 1e3).clamp(0.0, 65535.0) as u16 }
             }).collect();
             let measured = measured(&plane, &rays, at);
-            let mut found = Contact::new(&distance, share).pixels(&plane, &rays, at, &sphere);
+            let contact = Contact::new(&distance, share);
+            let mut found = contact.pixels(&plane, &rays, at, &sphere);
             found.touching &= measured;
             found.along_ray &= measured;
+            let all = contact.all_along_ray(&plane, &rays, at, &sphere);
+            prop_assert_eq!(all, found.along_ray == measured);
             for bit in 0..64 {
                 let (px, py) = (at.0 * 8 + bit % 8, at.1 * 8 + bit / 8);
                 let raw = plane[py * 64 + px];

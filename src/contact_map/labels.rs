@@ -100,3 +100,46 @@ static LANES: [[u16; BLOCK]; 256] = {
     lanes
 };
 const _: () = assert!(INVALID == u16::MAX && NO_SPHERE == u16::MAX - 1);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Images of any size, whole and divided blocks, holes.
+        #[test]
+        fn every_pixel_has_the_label_of_its_block(
+            width in 1usize..90, height in 1usize..9,
+            blocks in prop::collection::vec((any::<u64>(), any::<[u64; PALETTE]>(), 0usize..4), 12),
+        ) {
+            let mut valid = vec![0u64; width.div_ceil(BLOCK)];
+            let mut contacts = vec![BlockContacts::default(); valid.len()];
+            let made = valid.iter_mut().zip(&mut contacts).zip(&blocks);
+            for (k, ((valid, c), &(on, pixels, kind))) in made.enumerate() {
+                *valid = [0, u64::MAX, on, on][kind];
+                c.missing = *valid;
+                let spheres = if kind == 1 { 1 } else { PALETTE };
+                for p in 0..spheres {
+                    let own = if kind == 1 { u64::MAX } else { pixels[p] & c.missing };
+                    (c.palette[p], c.pixels[p]) = ((10 * k + p) as u16, own);
+                    c.missing &= !own;
+                }
+            }
+            let mut labels = vec![7; width * height];
+            write_rows(&mut labels, width, &valid, &contacts);
+            for (at, &label) in labels.iter().enumerate() {
+                let (x, y) = (at % width, at / width);
+                let (block, bit) = (x / BLOCK, BLOCK * y + x % BLOCK);
+                let c = &contacts[block];
+                let own = (0..PALETTE).find(|&p| c.pixels[p] >> bit & 1 != 0);
+                let truth = match own {
+                    Some(p) => c.palette[p],
+                    None if valid[block] >> bit & 1 != 0 => NO_SPHERE,
+                    None => INVALID,
+                };
+                prop_assert_eq!(label, truth, "at {}, {}", x, y);
+            }
+        }
+    }
+}

@@ -336,3 +336,58 @@ impl Agglomeration {
         self.neighbours[keep as usize] = joined;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A grid of small patches on a few planes at slants, neighbours touching.
+    fn grid(depths: &[f64], slants: &[f64]) -> Agglomeration {
+        let mut graph = Agglomeration::default();
+        for k in 0..36u32 {
+            let (x, y) = (f64::from(k % 6), f64::from(k / 6));
+            let mut moments = Moments::default();
+            for i in 0..25 {
+                let u = 0.1 * (x - 3.0) + 0.02 * f64::from(i % 5);
+                let v = 0.1 * (y - 3.0) + 0.02 * f64::from(i / 5);
+                let which = k as usize % depths.len();
+                let w = 1.0 / depths[which] + slants[which] * (u + u * v);
+                moments.add_point(u, v, w, 1e4);
+            }
+            if let Some(patch) = Patch::new(moments) {
+                graph.push(patch);
+            }
+        }
+        for k in 0..graph.len() as u32 {
+            for n in [k + 1, k + 6] {
+                if (n as usize) < graph.len() {
+                    graph.touch(k, n);
+                }
+            }
+        }
+        graph
+    }
+
+    proptest! {
+        /// Pairs that are passed over because they have been tried would not have been united.
+        #[test]
+        fn a_pair_that_saved_nothing_is_not_needed_again(
+            depths in prop::collection::vec(1.0f64..1.1, 1..4), slant in -0.2f64..0.2,
+        ) {
+            let slants: Vec<f64> = (0..depths.len()).map(|k| slant * k as f64).collect();
+            let left = |a: u32, b: u32| a % 6 < 3 && b % 6 < 3;
+            let roots = |again: bool| {
+                let mut graph = grid(&depths, &slants);
+                let done = graph.run(left, |_, _| false, &|| false)
+                    && graph.run(|_, _| true, |a, b| !again && left(a, b), &|| false)
+                    && graph.run(|_, _| true, |_, _| !again, &|| false);
+                assert!(done);
+                (0..graph.len() as u32).map(|k| graph.root(k)).collect::<Vec<_>>()
+            };
+            let (once, again) = (roots(false), roots(true));
+            prop_assert!(once.iter().zip(0u32..).any(|(&root, k)| root != k));
+            prop_assert_eq!(once, again);
+        }
+    }
+}

@@ -193,3 +193,33 @@ fn mark(row: &[u16], beyond: &[u16], turn: u16, side: u8, marks: &mut [u8]) {
         *marks |= if due & both { side } else { 0 };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pair_is_marked_when_its_turn_comes() {
+        let row: Vec<u16> = (0..40).map(|k| k * 7 % 23).collect();
+        let beyond: Vec<u16> = (0..40)
+            .map(|k| if k % 9 == 0 { NO_SPHERE } else { k % 23 })
+            .collect();
+        let mut met = [0; 40];
+        for turn in 0..u32::from(TURNS) {
+            let mut marks = [RIGHT; 40];
+            // any later frame is the same turn again
+            mark(&row, &beyond, (turn + 80_000) as u16, BELOW, &mut marks);
+            for (k, &marks) in marks.iter().enumerate() {
+                let (a, b) = (row[k], beyond[k]);
+                let due = (u32::from(a ^ b) + turn).is_multiple_of(u32::from(TURNS));
+                let both = a != b && b != NO_SPHERE;
+                assert_eq!(marks, if due && both { RIGHT | BELOW } else { RIGHT });
+                met[k] += u32::from(marks & BELOW != 0);
+            }
+        }
+        for (k, &times) in met.iter().enumerate() {
+            let pair = row[k] != beyond[k] && beyond[k] != NO_SPHERE;
+            assert_eq!(times, u32::from(pair), "pair {k}");
+        }
+    }
+}

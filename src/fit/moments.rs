@@ -419,3 +419,53 @@ pub fn of_block(
         sums: sums.map(|s| s * omega),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn misfit_is_the_mean_square_over_the_points() {
+        let point = |i: i32| {
+            let (u, v) = (
+                0.1 + 0.002 * f64::from(i % 8),
+                -0.2 + 0.002 * f64::from(i / 8),
+            );
+            let w = 0.5 + 0.1 * u - 0.2 * v + 1e-3 * f64::from(i * 37 % 11);
+            (u, v, w)
+        };
+        let omega = 3e4;
+        let mut moments = Moments::default();
+        let (mut mean, mut n) = ([0.0; 3], 0.0);
+        for (u, v, w) in (0..64).map(point) {
+            moments.add_point(u, v, w, omega);
+            mean = [mean[0] + u, mean[1] + v, mean[2] + w];
+            n += 1.0;
+        }
+        let spheres: [Sphere; 8] = std::array::from_fn(|k| Sphere {
+            a: 0.02 * (k as f32 - 3.0),
+            m: Vec3::new(0.1, -0.2 + 0.01 * k as f32, 0.5),
+            far: false,
+        });
+        let forms = std::array::from_fn(|x| spheres.map(|s| form_of(&s)[x]));
+        let misfits = moments.misfits(&forms);
+        for (sphere, misfit) in spheres.iter().zip(misfits) {
+            let [a, b, c, e] = form_of(sphere);
+            let square: f64 = (0..64)
+                .map(point)
+                .map(|(u, v, w)| {
+                    let s = (u * u + v * v + 1.0) / w;
+                    (a * s + b * u + c * v + e - w).powi(2) * omega
+                })
+                .sum();
+            let [u, v, w] = mean.map(|x| x / n);
+            let slope = 1.0 + a * (u * u + v * v + 1.0) / (w * w);
+            let truth = square / (slope * slope * n);
+            assert!(
+                (misfit - truth).abs() < 1e-6 * truth,
+                "{misfit}, not {truth}"
+            );
+            assert_eq!(moments.misfit(sphere), misfit);
+        }
+    }
+}
