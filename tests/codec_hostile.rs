@@ -315,6 +315,7 @@ fn absurd_cameras_are_refused_before_memory_is_taken() {
             motion: Motion::default(),
             degraded: false,
             plain: false,
+            fast: false,
             sections: [0; SECTIONS],
         };
         let mut body = Vec::new();

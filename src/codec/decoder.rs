@@ -172,7 +172,7 @@ impl Decoder {
             });
         };
         let state = &mut self.state;
-        state.begin(rays, key);
+        state.begin(rays, key, header.fast);
         if !key {
             state.follow(&header.motion);
         }
@@ -221,6 +221,18 @@ fn overrun(coder: &RangeDecoder<'_>) -> Result<(), CodecError> {
         });
     }
     Ok(())
+}
+
+/// The bytes of mask and labels in the section *pixels* of a fast frame.
+fn halves(section: &[u8]) -> Result<(&[u8], &[u8]), CodecError> {
+    let split = || {
+        let (length, rest) = section.split_first_chunk::<4>()?;
+        rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
+    };
+    split().ok_or(CodecError::Corrupt {
+        at: 0,
+        what: "the mask is longer than its section",
+    })
 }
 
 /// Section *residual* of a plain frame.
@@ -302,13 +314,23 @@ fn read_sections(
     if level == Level::Blocks {
         return Ok(());
     }
-    let mut coder = RangeDecoder::new(sections[2]);
     let how = if plain {
         mask::Precision::Plain
     } else {
         mask::Precision::Exact
     };
-    state.code_mask(&mut coder, rays, (key, motion), (&[], how));
+    state.look_back(rays, motion);
+    if state.fast {
+        let (of_mask, of_labels) = halves(sections[2])?;
+        let (mut of_mask, mut of_labels) =
+            (RangeDecoder::new(of_mask), RangeDecoder::new(of_labels));
+        let coders = (&mut of_mask, &mut of_labels);
+        state.code_pixels_fast(coders, rays, reach, key, (&[], how), &mut AsRead);
+        overrun(&of_mask)?;
+        return overrun(&of_labels);
+    }
+    let mut coder = RangeDecoder::new(sections[2]);
+    state.code_mask(&mut coder, rays, key, &[], how);
     state.code_labels(&mut coder, rays, reach, key, &mut AsRead);
     overrun(&coder)
 }

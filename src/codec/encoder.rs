@@ -50,6 +50,8 @@ pub struct Encoder {
     /// Sphere number to model slot.
     slots: Vec<u16>,
     sections: [Vec<u8>; super::header::SECTIONS],
+    /// Labels of a fast frame.
+    label_run: Vec<u8>,
     since_key: u32,
     last_sequence: Option<u64>,
 }
@@ -101,6 +103,7 @@ impl Encoder {
             numbers: Vec::with_capacity(room),
             slots: Vec::with_capacity(room),
             sections: Default::default(),
+            label_run: Vec::new(),
             since_key: 0,
             last_sequence: None,
         })
@@ -148,7 +151,7 @@ impl Encoder {
                 });
             }
         }
-        if self.options.effort == Effort::Live || self.plain {
+        if self.options.effort != Effort::Max || self.plain {
             return self.encode_once(frame, saint, degraded, out);
         }
         let start = self.clone();
@@ -224,7 +227,8 @@ impl Encoder {
         let key = reference.is_none();
         // an error on the way leaves no reference
         self.last_sequence = None;
-        self.state.begin(&self.rays, key);
+        let fast = self.options.effort == Effort::Live;
+        self.state.begin(&self.rays, key, fast);
         if !key {
             self.state.follow(&saint.motion);
             let mover = saint.motion.mover();
@@ -270,6 +274,7 @@ impl Encoder {
             motion: saint.motion,
             degraded,
             plain: self.plain,
+            fast,
             sections: [0, 1, 2, 3].map(|k| self.sections[k].len()),
         };
         out.sequence = frame.sequence;
@@ -405,10 +410,19 @@ impl Encoder {
             (_, true) => mask::Precision::Within(mask_choice::PATIENCE),
             _ => mask::Precision::Exact,
         };
-        let mut coder = RangeEncoder::new(&mut self.sections[2]);
-        let wanted = (&self.measured[..], how);
-        self.state
-            .code_mask(&mut coder, &self.rays, (key, motion), wanted);
+        self.state.look_back(&self.rays, motion);
+        let fast = self.state.fast;
+        let [.., section, _] = &mut self.sections;
+        self.label_run.clear();
+        if fast {
+            section.extend([0; 4]);
+        }
+        let mut of_mask = RangeEncoder::new(section);
+        let mut of_labels = RangeEncoder::new(&mut self.label_run);
+        if smooths || !fast {
+            self.state
+                .code_mask(&mut of_mask, &self.rays, key, &self.measured, how);
+        }
         if smooths {
             let decided = (&self.state.now.mask, &self.truth[..]);
             let (measured, invented) = (&mut self.measured, &mut self.invented);
@@ -423,9 +437,27 @@ impl Encoder {
         };
         let pixels = (&self.measured[..], &self.invented[..]);
         let mut choice = Cheapest::new(&self.rays, errors, pixels, &mut self.hits);
-        self.state
-            .code_labels(&mut coder, &self.rays, &self.reach, key, &mut choice);
-        coder.finish();
+        let (rays, reach) = (&self.rays, &self.reach);
+        if !fast {
+            self.state
+                .code_labels(&mut of_mask, rays, reach, key, &mut choice);
+            of_mask.finish();
+            return;
+        }
+        if smooths {
+            self.state
+                .code_labels(&mut of_labels, rays, reach, key, &mut choice);
+        } else {
+            let coders = (&mut of_mask, &mut of_labels);
+            let wanted = (&self.measured[..], how);
+            self.state
+                .code_pixels_fast(coders, rays, reach, key, wanted, &mut choice);
+        }
+        of_mask.finish();
+        of_labels.finish();
+        let length = (section.len() - 4) as u32;
+        section[..4].copy_from_slice(&length.to_le_bytes());
+        section.extend_from_slice(&self.label_run);
     }
 
     fn code_spheres(&mut self, saint: &SaintFrame, report: &mut EncodeReport) {

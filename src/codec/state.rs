@@ -42,6 +42,8 @@ pub(super) struct Picture {
 #[derive(Clone, Debug, Default)]
 pub(super) struct State {
     pub models: Models,
+    /// The frame is coded for speed (`FORMAT.md` §1.6, "Fast").
+    pub fast: bool,
     pub now: Picture,
     pub before: Picture,
     pub new: NewNumbers,
@@ -76,7 +78,8 @@ impl State {
     }
 
     /// Starts a frame: the last one becomes the reference, or is forgotten for a key frame.
-    pub fn begin(&mut self, rays: &Rays, key: bool) {
+    pub fn begin(&mut self, rays: &Rays, key: bool, fast: bool) {
+        self.fast = fast;
         std::mem::swap(&mut self.now, &mut self.before);
         if key {
             self.models.mask.reset();
@@ -150,37 +153,33 @@ impl State {
         )
     }
 
-    /// Section *pixels*, first half: the mask. `wanted`: measured pixels of each block, of which some
-    /// may go another way (not used to decode).
+    /// Where the blocks were in the last frame: what the section *pixels* needs first.
+    pub fn look_back(&mut self, rays: &Rays, motion: &Motion) {
+        let State { now, shifts, .. } = self;
+        let stride = now.mask.pixels.stride();
+        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
+    }
+
+    /// Section *pixels*, the mask. `wanted`: measured pixels of each block, of which some may go
+    /// another way (not used to decode).
     pub fn code_mask<C: Coder>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
-        (key, motion): (bool, &Motion),
-        (wanted, how): (&[u64], mask::Precision),
+        key: bool,
+        wanted: &[u64],
+        how: mask::Precision,
     ) {
-        let State {
-            models,
-            now,
-            before,
-            shifts,
-            mask_bits,
-            ..
-        } = self;
-        let stride = now.mask.pixels.stride();
-        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
         let past = (!key).then_some(Past {
-            cells: before.mask.pixels.cells(),
-            shifts,
+            cells: self.before.mask.pixels.cells(),
+            shifts: &self.shifts,
         });
-        let models = &mut models.mask;
-        let start = coder.written();
-        mask::code_quads(coder, models, rays, &mut now.mask, past, wanted);
-        mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, how);
-        mask_bits[1] = coder.written() - start;
+        let (models, mask) = (&mut self.models.mask, &mut self.now.mask);
+        self.mask_bits[1] = code_mask(coder, models, rays, mask, past, wanted, how, self.fast);
     }
 
-    /// Section *pixels*, second half: labels. Predicted depths come with them.
+    /// Section *pixels*, the labels: after the mask, or, fast, without it. Predicted depths come with
+    /// them.
     pub fn code_labels<C: Coder, W: Choice>(
         &mut self,
         coder: &mut C,
@@ -189,29 +188,70 @@ impl State {
         key: bool,
         choice: &mut W,
     ) {
+        let past = (!key).then_some(Past {
+            cells: self.before.map.pixels.cells(),
+            shifts: &self.shifts,
+        });
+        let mask = (!self.fast).then_some(&self.now.mask);
+        code_labels(
+            coder,
+            &mut self.models.labels,
+            rays,
+            reach,
+            mask,
+            &mut self.now.map,
+            past,
+            &Surfaces(&self.now.entries),
+            &mut self.predicted,
+            choice,
+        );
+    }
+
+    /// Both of a fast frame, side by side: neither needs the other.
+    pub fn code_pixels_fast<C: Coder + Send, W: Choice + Send>(
+        &mut self,
+        (of_mask, of_labels): (&mut C, &mut C),
+        rays: &Rays,
+        reach: &Reach,
+        key: bool,
+        (wanted, how): (&[u64], mask::Precision),
+        choice: &mut W,
+    ) {
         let State {
             models,
             now,
             before,
             predicted,
             shifts,
+            mask_bits,
             ..
         } = self;
-        let past = (!key).then_some(Past {
-            cells: before.map.pixels.cells(),
-            shifts,
-        });
-        label_map::code(
-            coder,
-            &mut models.labels,
-            rays,
-            reach,
-            &now.mask,
-            &mut now.map,
-            past,
-            &Surfaces(&now.entries),
-            predicted,
-            choice,
+        let (mask_past, label_past) = (before.mask.pixels.cells(), before.map.pixels.cells());
+        let past = (!key).then_some((
+            Past {
+                cells: mask_past,
+                shifts,
+            },
+            Past {
+                cells: label_past,
+                shifts,
+            },
+        ));
+        let Picture {
+            mask, map, entries, ..
+        } = now;
+        let surfaces = Surfaces(entries);
+        rayon::join(
+            || {
+                let (models, past) = (&mut models.mask, past.map(|p| p.0));
+                mask_bits[1] = code_mask(of_mask, models, rays, mask, past, wanted, how, true);
+            },
+            || {
+                let (models, past) = (&mut models.labels, past.map(|p| p.1));
+                code_labels(
+                    of_labels, models, rays, reach, None, map, past, &surfaces, predicted, choice,
+                );
+            },
         );
     }
 
@@ -233,6 +273,7 @@ impl State {
         self.cover(rays);
         let State {
             models,
+            fast,
             now,
             before,
             predicted,
@@ -251,9 +292,15 @@ impl State {
         }
         bins.prepare(rays, reach, lossless, true);
         rebuild_near(rays, now, predicted, rebuilt);
-        residual::code_pixels(
-            coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
-        );
+        if *fast {
+            residual::code_pixels::<true, C, W>(
+                coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
+            );
+        } else {
+            residual::code_pixels::<false, C, W>(
+                coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
+            );
+        }
         Ok(())
     }
 
@@ -317,6 +364,53 @@ impl State {
                 );
             }
         }
+    }
+}
+
+/// Quads and pixels of the mask; returns the bits they took, in 1/16 bit.
+#[allow(clippy::too_many_arguments)] // one section's whole state
+fn code_mask<C: Coder>(
+    coder: &mut C,
+    models: &mut mask::Models,
+    rays: &Rays,
+    mask: &mut Mask,
+    past: Option<Past<'_, u8>>,
+    wanted: &[u64],
+    how: mask::Precision,
+    fast: bool,
+) -> u64 {
+    let start = coder.written();
+    mask::code_quads(coder, models, rays, mask, past, wanted);
+    if fast {
+        mask::code_pixels::<true, C>(coder, models, rays, mask, past, wanted, how);
+    } else {
+        mask::code_pixels::<false, C>(coder, models, rays, mask, past, wanted, how);
+    }
+    coder.written() - start
+}
+
+/// Labels within the mask, or, fast, without one.
+#[allow(clippy::too_many_arguments)] // one section's whole state
+pub(super) fn code_labels<C: Coder, W: Choice>(
+    coder: &mut C,
+    models: &mut label_map::Models,
+    rays: &Rays,
+    reach: &Reach,
+    mask: Option<&Mask>,
+    map: &mut LabelMap,
+    past: Option<Past<'_, u16>>,
+    surfaces: &Surfaces<'_>,
+    predicted: &mut Plane<f32>,
+    choice: &mut W,
+) {
+    if mask.is_some() {
+        label_map::code::<false, C, W>(
+            coder, models, rays, reach, mask, map, past, surfaces, predicted, choice,
+        );
+    } else {
+        label_map::code::<true, C, W>(
+            coder, models, rays, reach, None, map, past, surfaces, predicted, choice,
+        );
     }
 }
 
