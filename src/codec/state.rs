@@ -57,6 +57,8 @@ pub(super) struct State {
     /// Rebuilt depth integers; 0 where nothing was measured.
     pub rebuilt: Plane<u16>,
     pub traces: Plane<Trace>,
+    /// Measured pixels of each block that touch the sphere they got (encoding only).
+    pub hits: Vec<u64>,
     /// What the mask took of the sections of blocks and of pixels, in 1/16 bit (encoding only).
     pub mask_bits: [u64; 2],
 }
@@ -94,6 +96,7 @@ impl State {
         self.now.map.reset(rays);
         self.now.kinds.clear();
         self.now.kinds.resize(rays.blocks(), Kind::Smooth);
+        self.hits.resize(rays.blocks(), 0);
         self.bins.cover(rays);
         self.predicted.cover(rays, 0.0);
         self.now.entries.clear();
@@ -193,17 +196,21 @@ impl State {
             shifts: &self.shifts,
         });
         let mask = (!self.fast).then_some(&self.now.mask);
+        let (map, surfaces) = (&mut self.now.map, Surfaces(&self.now.entries));
+        let (predicted, hits) = (&mut self.predicted, &mut self.hits);
+        label_map::write_alone(rays, map, &surfaces, predicted, choice, hits);
         code_labels(
             coder,
             &mut self.models.labels,
             rays,
             reach,
             mask,
-            &mut self.now.map,
+            map,
             past,
-            &Surfaces(&self.now.entries),
-            &mut self.predicted,
+            &surfaces,
+            predicted,
             choice,
+            hits,
         );
     }
 
@@ -223,6 +230,7 @@ impl State {
             before,
             predicted,
             shifts,
+            hits,
             mask_bits,
             ..
         } = self;
@@ -241,6 +249,7 @@ impl State {
             mask, map, entries, ..
         } = now;
         let surfaces = Surfaces(entries);
+        label_map::write_alone(rays, map, &surfaces, predicted, choice, hits);
         rayon::join(
             || {
                 let (models, past) = (&mut models.mask, past.map(|p| p.0));
@@ -250,18 +259,19 @@ impl State {
                 let (models, past) = (&mut models.labels, past.map(|p| p.1));
                 code_labels(
                     of_labels, models, rays, reach, None, map, past, &surfaces, predicted, choice,
+                    hits,
                 );
             },
         );
     }
 
     /// Section *residual*: integers, kinds of blocks and the pixels that come back from bins. `wanted`
-    /// tells the integer of a pixel and whether its sphere gives it back, `plane` holds all integers
-    /// (both not used to decode).
+    /// tells the integer of a pixel, `hits` whether its sphere gives it back, `plane` holds all integers
+    /// (none used to decode).
     ///
     /// # Errors
     /// [`NoSuchInteger`] where the bytes list one (decoding only).
-    pub fn code_residual<C: Coder, W: Fn(usize, usize, usize) -> (u16, bool)>(
+    pub fn code_residual<C: Coder, W: Fn(usize, usize) -> u16>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
@@ -280,6 +290,7 @@ impl State {
             rebuilt,
             traces,
             bins,
+            hits,
             ..
         } = self;
         let models = &mut models.residual;
@@ -294,11 +305,11 @@ impl State {
         rebuild_near(rays, now, predicted, rebuilt);
         if *fast {
             residual::code_pixels::<true, C, W>(
-                coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
+                coder, models, rays, bins, now, predicted, rebuilt, traces, hits, wanted,
             );
         } else {
             residual::code_pixels::<false, C, W>(
-                coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
+                coder, models, rays, bins, now, predicted, rebuilt, traces, hits, wanted,
             );
         }
         Ok(())
@@ -389,7 +400,7 @@ fn code_mask<C: Coder>(
     coder.written() - start
 }
 
-/// Labels within the mask, or, fast, without one.
+/// Labels within the mask, or, fast, without one, of blocks of several spheres.
 #[allow(clippy::too_many_arguments)] // one section's whole state
 pub(super) fn code_labels<C: Coder, W: Choice>(
     coder: &mut C,
@@ -402,14 +413,15 @@ pub(super) fn code_labels<C: Coder, W: Choice>(
     surfaces: &Surfaces<'_>,
     predicted: &mut Plane<f32>,
     choice: &mut W,
+    hits: &mut [u64],
 ) {
     if mask.is_some() {
         label_map::code::<false, C, W>(
-            coder, models, rays, reach, mask, map, past, surfaces, predicted, choice,
+            coder, models, rays, reach, mask, map, past, surfaces, predicted, choice, hits,
         );
     } else {
         label_map::code::<true, C, W>(
-            coder, models, rays, reach, None, map, past, surfaces, predicted, choice,
+            coder, models, rays, reach, None, map, past, surfaces, predicted, choice, hits,
         );
     }
 }
