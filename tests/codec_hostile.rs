@@ -10,7 +10,7 @@ mod frames;
 
 use frames::{Chance, Picture, camera, draw, options};
 use saint_live::codec::header::{Header, SECTIONS, Stream, Tolerance};
-use saint_live::codec::{CodecError, DecodedFrame, Decoder, EncodedFrame, Encoder};
+use saint_live::codec::{CodecError, DecodedFrame, Decoder, Effort, EncodedFrame, Encoder};
 use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, Modeler};
@@ -18,10 +18,11 @@ use saint_live::fit::motion::Motion;
 use saint_live::frame::FrameTime;
 
 /// A key frame, two P frames, and the bytes of their headers. `moved`: the camera moves.
-fn chain(lossless: bool, moved: bool) -> Vec<(Vec<u8>, usize)> {
+fn chain(lossless: bool, moved: bool, effort: Effort) -> Vec<(Vec<u8>, usize)> {
     let camera = camera(44, 29);
     let mut modeler = Modeler::new(&camera, &FitOptions::default());
-    let with = options(ContactDistance::default(), lossless, 30);
+    let mut with = options(ContactDistance::default(), lossless, 30);
+    with.effort = effort;
     let mut encoder = Encoder::new(&camera, with).unwrap();
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     (0..3)
@@ -41,7 +42,7 @@ fn chain(lossless: bool, moved: bool) -> Vec<(Vec<u8>, usize)> {
 }
 
 fn payloads(lossless: bool) -> Vec<(Vec<u8>, usize)> {
-    chain(lossless, false)
+    chain(lossless, false, Effort::Live)
 }
 
 /// What any decoded frame holds, whatever the bytes.
@@ -113,8 +114,12 @@ fn every_flipped_bit_is_an_error() {
 /// Damage behind a checksum that matches reaches the parsers of the sections.
 #[test]
 fn sealed_damage_gives_an_error_or_a_frame() {
-    for (lossless, moved) in [(false, false), (true, false), (false, true)] {
-        let payloads = chain(lossless, moved);
+    for (lossless, moved, effort) in [
+        (false, false, Effort::Live),
+        (true, false, Effort::Usual),
+        (false, true, Effort::Live),
+    ] {
+        let payloads = chain(lossless, moved, effort);
         let mut chance = Chance(41);
         let (mut errors, mut decoded) = (0, 0);
         for _ in 0..2000 {
@@ -155,12 +160,13 @@ fn sealed_damage_gives_an_error_or_a_frame() {
 /// in every P frame, leaves all pixels inside the image.
 #[test]
 fn absurd_motions_and_spheres_stay_inside_the_image() {
-    let payloads = chain(false, true);
+    let chains = [Effort::Live, Effort::Usual].map(|effort| chain(false, true, effort));
     let mut chance = Chance(77);
     let extremes = [-32_768, -32_767, -1, 0, 1, 32_767];
     let mut decoded = 0;
-    for round in 0..1000 {
-        let mut decoder = decoder_before(&payloads, 1);
+    for round in 0..1200 {
+        let payloads = &chains[round / 2 % 2];
+        let mut decoder = decoder_before(payloads, 1);
         for n in 1..3 {
             let (whole, header) = &payloads[n];
             let body = &whole[..whole.len() - 4];
@@ -200,10 +206,11 @@ fn absurd_motions_and_spheres_stay_inside_the_image() {
 /// Sections of chance bytes: nothing in them means what an encoder would say.
 #[test]
 fn random_sections_give_an_error_or_a_frame() {
-    let payloads = chain(false, true);
+    let chains = [Effort::Live, Effort::Usual].map(|effort| chain(false, true, effort));
     let mut chance = Chance(123);
     let mut decoded = 0;
     for round in 0..1200 {
+        let payloads = &chains[round / 3 % 2];
         let n = round % 3;
         let (whole, header) = &payloads[n];
         let (mut read, ..) = Header::read(whole, 0).unwrap();
@@ -224,7 +231,7 @@ fn random_sections_give_an_error_or_a_frame() {
         let mut bytes = Vec::new();
         read.write(&mut bytes);
         bytes.extend(sections);
-        let mut decoder = decoder_before(&payloads, n);
+        let mut decoder = decoder_before(payloads, n);
         if let Ok(frame) = decoder.decode(&sealed(&bytes)) {
             sound(frame);
             decoded += 1;
@@ -315,6 +322,7 @@ fn absurd_cameras_are_refused_before_memory_is_taken() {
             motion: Motion::default(),
             degraded: false,
             plain: false,
+            fast: false,
             sections: [0; SECTIONS],
         };
         let mut body = Vec::new();

@@ -160,6 +160,16 @@ def mixed_bit(coder, estimates, weights):
     for k, s in enumerate(lanes):
         weights[k] = min(max(weights[k] + ((s * error + 4096) >> 13), -131072), 131072)
     for e in estimates:
-        e[0] += ((65535 * bit - e[0]) * (327680 // (10 * e[1] + 16))) >> 15
-        e[1] = min(e[1] + 1, 250)
+        learn(e, bit)
     return bit
+
+
+def single_bit(coder, estimate):
+    bit = coder.chance(min(max(estimate[0], 48), 65488))
+    learn(estimate, bit)
+    return bit
+
+
+def learn(estimate, bit):
+    estimate[0] += ((65535 * bit - estimate[0]) * (327680 // (10 * estimate[1] + 16))) >> 15
+    estimate[1] = min(estimate[1] + 1, 250)

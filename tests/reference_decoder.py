@@ -16,12 +16,13 @@ import zlib
 
 import numpy as np
 
-from reference_coder import Contexts, Integer, Range, Refused, Weights, bits, mixed_bit, unfold
+from reference_coder import Contexts, Integer, Range, Refused, Weights, bits, mixed_bit, single_bit
+from reference_coder import unfold
 from reference_geometry import F32, F64, Bins, Chart, Entry, clamp, five, inverse_depth, move, nine
 from reference_geometry import shift_of
 
 NO_SPHERE, INVALID = 65534, 65535
-KEY, LOSSLESS, DEGRADED, MOVED, PLAIN = 1, 2, 4, 8, 16
+KEY, LOSSLESS, DEGRADED, MOVED, PLAIN, FAST = 1, 2, 4, 8, 16, 32
 EMPTY, FULL, MIXED = 0, 1, 2
 SMOOTH, SPARSE, DENSE = 0, 1, 2
 ENDS = [1, 2, 3, 5, 7, 11, 15, 23, 31, 47, 63, 95, 127, 191]
@@ -149,7 +150,7 @@ class Decoder:
         if fields.take(2) != b"SL" or fields.take(1) != b"\x03":
             raise Refused("magic or version")
         (flags,) = fields.take(1)
-        if flags & ~(KEY | LOSSLESS | DEGRADED | MOVED | PLAIN):
+        if flags & ~(KEY | LOSSLESS | DEGRADED | MOVED | PLAIN | FAST):
             raise Refused("unknown flags")
         sequence = fields.varint()
         fields.unpack("2q")
@@ -171,7 +172,8 @@ class Decoder:
             self.stream, self.models, self.past = stream, Models(), None
         elif reference is None or reference != wanted:
             raise Refused(f"missing reference: frame {sequence} needs frame {wanted}")
-        frame = Frame(self.stream, self.models, self.past, motion, bool(flags & PLAIN))
+        how = bool(flags & PLAIN), bool(flags & FAST)
+        frame = Frame(self.stream, self.models, self.past, motion, *how)
         planes = frame.read(sections)
         self.past, self.last_sequence = frame.now, sequence
         return planes
@@ -181,8 +183,9 @@ class Decoder:
 
 
 class Frame:
-    def __init__(self, stream, models, past, motion, plain):
-        self.stream, self.models, self.past, self.plain = stream, models, past, plain
+    def __init__(self, stream, models, past, motion, plain, fast):
+        self.stream, self.models, self.past = stream, models, past
+        self.plain, self.fast = plain, fast
         self.now = Picture(stream)
         self.motion = motion
         before = past.entries if past else []
@@ -191,17 +194,19 @@ class Frame:
         self.next = self.given = 0
 
     def read(self, sections):
-        blocks, spheres, pixels = map(Range, sections[:3])
+        blocks, spheres = map(Range, sections[:2])
         self.read_fills(blocks)
         self.read_palettes(blocks)
         blocks.end()
         self.read_spheres(spheres)
         spheres.end()
         self.shifts = [self.shift(k) for k in range(self.stream.blocks)]
-        self.read_quads(pixels)
-        self.read_mask(pixels)
-        self.read_labels(pixels)
-        pixels.end()
+        of_mask, of_labels = self.pixels(sections[2])
+        self.read_quads(of_mask)
+        self.read_mask(of_mask)
+        of_mask.end()
+        self.read_labels(of_labels)
+        of_labels.end()
         self.predict()
         if self.plain:
             self.read_plain_residual(sections[3])
@@ -210,6 +215,18 @@ class Frame:
             self.read_residual(residual)
             residual.end()
         return self.output()
+
+    def pixels(self, section):
+        """What mask and labels are read from: one run, or, fast, one each."""
+        if not self.fast:
+            return (Range(section),) * 2
+        length = struct.unpack("<I", section[:4])[0] if len(section) >= 4 else len(section)
+        if len(section) - 4 < length:
+            raise Refused("fast")
+        return Range(section[4 : 4 + length]), Range(section[4 + length :])
+
+    def mixed_bit(self, coder, estimates, weights):
+        return single_bit(coder, estimates[0]) if self.fast else mixed_bit(coder, estimates, weights)
 
     def neighbour(self, k, dx, dy):
         """The block beside block k, or None outside the image."""
@@ -462,7 +479,7 @@ class Frame:
             cells += (32 * n6 + read(now.mask, wide, x, y),)
             cells += (4 * nine + read(now.mask, [(-1, 0), (0, -1)], x, y),)
             estimates = [m.at(c) for m, c in zip(self.models.mask, cells)]
-            now.mask.set(x, y, mixed_bit(coder, estimates, self.models.mask_weights.at(n6)))
+            now.mask.set(x, y, self.mixed_bit(coder, estimates, self.models.mask_weights.at(n6)))
 
     def read_labels(self, coder):
         labels = self.now.labels
@@ -474,12 +491,18 @@ class Frame:
             sides = self.sides(k, palette)
             for n in range(4):
                 x, y = self.quad(k, n)
-                if not self.now.mask.inner[y : y + 4, x : x + 4].any():
+                if not self.asked(x, y, 4):
                     labels.inner[y : y + 4, x : x + 4] = labels.at(x - 1, y)
                 elif coder.bit(self.models.split[self.split_context(k, n, palette, sides)]):
                     self.read_quad_labels(coder, k, n, palette, sides)
                 else:
                     labels.inner[y : y + 4, x : x + 4] = self.read_whole(coder, k, n, palette)
+
+    def asked(self, x, y, size):
+        """Does any pixel of this square have a label of its own: is it measured, or, fast, in the image?"""
+        if self.fast:
+            return x < self.stream.width and y < self.stream.height
+        return self.now.mask.inner[y : y + size, x : x + size].any()
 
     def sides(self, k, palette):
         """For each entry but the last: front and close of the block's pixels, [y, x]."""
@@ -541,7 +564,7 @@ class Frame:
         x, y = self.quad(k, n)
         for y in range(y, y + 4):
             for i in range(4):
-                if not self.now.mask.at(x + i, y):
+                if not self.asked(x + i, y, 1):
                     self.now.labels.set(x + i, y, self.now.labels.at(x + i - 1, y))
                 else:
                     self.read_label(coder, k, n, palette, sides, x + i, y)
@@ -574,7 +597,7 @@ class Frame:
                 (entry, *p, w, north),
             )
             estimates = [m.at(c) for m, c in zip(models.label, cells)]
-            if mixed_bit(coder, estimates, models.label_weights.at(entry, w, north)):
+            if self.mixed_bit(coder, estimates, models.label_weights.at(entry, w, north)):
                 break
             entry += 1
         labels.set(x, y, palette[entry])
@@ -707,15 +730,15 @@ class Frame:
         activity = sum(e > limit for limit in (0, 1, 2, 4, 7, 12, 20, 36, 64, 120))
         anchor = guess if own is None else own
         cells = (
-            (nine(w - guess), nine(ww - w), nine(nw - n), five(n - guess)),
             (nine(n - guess), nine(nn - n), nine(ne - n), five(w - guess)),
+            (nine(w - guess), nine(ww - w), nine(nw - n), five(n - guess)),
             (part, nine(anchor - guess), nine(shifted - guess), activity, dense),
         )
         which = 0 if own is None else 2 if dense else 1
 
         def read(node):
             estimates = [c.at(cell, node) for c, cell in zip(models.bins, cells)]
-            return mixed_bit(coder, estimates, models.bin_weights.at(activity, which, node))
+            return self.mixed_bit(coder, estimates, models.bin_weights.at(activity, which, node))
 
         found = guess
         if not read(0):

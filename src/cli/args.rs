@@ -100,7 +100,8 @@ pub struct EngineArgs {
     #[arg(long, value_name = "RATE", value_parser = bitrate,
         conflicts_with_all = ["max_error", "lossless"])]
     pub bitrate: Option<f64>,
-    /// `max` looks for fewer bits in several ways, some six times as long: to encode recordings anew.
+    /// `usual` saves 1 to 2 % of the bits, 4 % without loss, for a sixth more time; `max` looks for
+    /// fewer bits in several ways, some six times as long: to encode recordings anew.
     #[arg(long, value_enum, default_value_t)]
     pub effort: EffortArg,
     /// Smooth the mask of measured pixels where it is noise. Few pixels are lost or invented along
@@ -141,9 +142,11 @@ pub struct EngineArgs {
 /// How long the encoder looks for fewer bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum EffortArg {
-    /// Once through each frame.
+    /// Once through each frame, for speed.
     #[default]
     Live,
+    /// Once through each frame, with mixed contexts.
+    Usual,
     /// Each frame in several ways.
     Max,
 }

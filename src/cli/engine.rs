@@ -161,6 +161,7 @@ impl Engine {
         codec.smooth_mask = args.smooth_mask;
         codec.effort = match args.effort {
             EffortArg::Live => Effort::Live,
+            EffortArg::Usual => Effort::Usual,
             EffortArg::Max => Effort::Max,
         };
         if let Some(most) = args.max_error {

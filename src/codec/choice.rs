@@ -106,7 +106,7 @@ impl Errors<'_> {
     }
 }
 
-/// Chooses labels for one frame and notes which pixels touch the sphere they got.
+/// Chooses labels for one frame.
 pub(super) struct Cheapest<'a> {
     rays: &'a Rays,
     errors: Errors<'a>,
@@ -114,27 +114,23 @@ pub(super) struct Cheapest<'a> {
     /// Pixels that the payload has and the sensor has not: any depth near those around will do. None
     /// where it is empty.
     invented: &'a [u64],
-    /// Touching pixels of each block.
-    hits: &'a mut [u64],
     /// Of the block at hand, by palette entry: prices, and the pixels whose price is a miss's.
     prices: [[u16; BLOCK * BLOCK]; PALETTE],
     missed: [u64; PALETTE],
 }
 
 impl<'a> Cheapest<'a> {
-    /// Choices for one frame; `hits` has an entry for each block.
+    /// Choices for one frame.
     pub fn new(
         rays: &'a Rays,
         errors: Errors<'a>,
         (measured, invented): (&'a [u64], &'a [u64]),
-        hits: &'a mut [u64],
     ) -> Self {
         Self {
             rays,
             errors,
             measured,
             invented,
-            hits,
             prices: [[0; BLOCK * BLOCK]; PALETTE],
             missed: [0; PALETTE],
         }
@@ -142,13 +138,14 @@ impl<'a> Cheapest<'a> {
 }
 
 impl Cheapest<'_> {
-    /// Invented pixels of block `k` cost nothing and miss nothing where a sphere is about as far away
-    /// as what was measured in the block.
+    /// The invented pixels of block `k`, by sphere, that cost nothing and miss nothing: where that is
+    /// about as far away as what was measured in the block.
     #[inline(always)]
-    fn forgive(&mut self, k: usize, depths: &[Depths]) {
+    fn forgiven(&self, k: usize, depths: &[Depths]) -> [u64; PALETTE] {
+        let mut forgiven = [0; PALETTE];
         let invented = self.invented.get(k).copied().unwrap_or(0);
         if invented == 0 {
-            return;
+            return forgiven;
         }
         let (x0, y0, ..) = extent(self.rays, k);
         let (mut near, mut far) = (u16::MAX, 0);
@@ -159,13 +156,11 @@ impl Cheapest<'_> {
         let near = f32::from(near) * (1.0 - ASIDE);
         let far = (f32::from(far) * (1.0 + ASIDE)).min(BEYOND);
         for i in bits(invented) {
-            for (e, depths) in depths.iter().enumerate() {
-                if near <= depths[i] && depths[i] < far {
-                    self.prices[e][i] = 0;
-                    self.missed[e] &= !(1 << i);
-                }
+            for (forgiven, depths) in forgiven.iter_mut().zip(depths) {
+                *forgiven |= u64::from(near <= depths[i] && depths[i] < far) << i;
             }
         }
+        forgiven
     }
 }
 
@@ -180,24 +175,29 @@ fn bits(mut set: u64) -> impl Iterator<Item = usize> {
 
 impl Choice for Cheapest<'_> {
     #[inline(always)]
+    fn alone(&self, k: usize, depths: &Depths) -> u64 {
+        // nothing to choose from: no price is asked for
+        let missed = self.errors.missed(self.rays, k, depths);
+        let [forgiven, ..] = self.forgiven(k, std::slice::from_ref(depths));
+        self.measured[k] & (!missed | forgiven)
+    }
+
+    #[inline(always)]
     fn block(&mut self, k: usize, palette: &[u16], depths: &[Depths; PALETTE]) {
-        self.hits[k] = 0;
-        if let ([_], [depths, ..]) = (palette, depths) {
-            // nothing to choose from: no price is asked for
-            self.missed[0] = self.errors.missed(self.rays, k, depths);
-            self.forgive(k, std::slice::from_ref(depths));
-            return;
-        }
+        let depths = &depths[..palette.len()];
+        let forgiven = self.forgiven(k, depths);
         let lists = self.prices.iter_mut().zip(&mut self.missed);
-        for ((prices, missed), depths) in lists.zip(&depths[..palette.len()]) {
+        for (((prices, missed), depths), forgiven) in lists.zip(depths).zip(forgiven) {
             self.errors.prices(self.rays, k, depths, prices);
             let mut cells = [0u8; BLOCK * BLOCK];
-            for (cell, price) in cells.iter_mut().zip(prices) {
+            for (cell, price) in cells.iter_mut().zip(&*prices) {
                 *cell = u8::from(*price == MISS_COST);
             }
-            *missed = packed(&cells);
+            *missed = packed(&cells) & !forgiven;
+            for i in bits(forgiven) {
+                prices[i] = 0;
+            }
         }
-        self.forgive(k, &depths[..palette.len()]);
     }
 
     #[inline(always)]
@@ -230,7 +230,7 @@ impl Choice for Cheapest<'_> {
     }
 
     #[inline(always)]
-    fn given(&mut self, k: usize, pixels: u64, entry: usize) {
-        self.hits[k] |= pixels & !self.missed[entry] & self.measured[k];
+    fn given(&mut self, k: usize, pixels: u64, entry: usize) -> u64 {
+        pixels & !self.missed[entry] & self.measured[k]
     }
 }

@@ -1,15 +1,18 @@
 //! Effort: how long the encoder looks for fewer bits.
 //!
-//! Live, one guess of what spheres and boundaries cost serves all frames. For an archive each frame
-//! is encoded with several and the one is kept that costs least, bits and errors together: the
-//! payload is the same kind of payload, only smaller.
+//! Live, bits have one context each and one guess of what spheres and boundaries cost serves all
+//! frames. Mixing three contexts saves 1 to 2 % at the default bound, 4 % without loss. For an
+//! archive each frame is encoded with several guesses, too, and the one is kept that costs least,
+//! bits and errors together.
 
 /// How long the encoder looks for fewer bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Effort {
-    /// Once through each frame.
+    /// Once through each frame, coded for speed in writing and reading.
     #[default]
     Live,
+    /// Once through each frame, with mixed contexts.
+    Usual,
     /// Each frame in several ways: some six times the time.
     Max,
 }

@@ -3,6 +3,7 @@
 use super::choice::{Cheapest, Errors};
 use super::effort::{Effort, TRIALS, Thrift, USUAL};
 use super::header::{Header, Stream};
+use super::label_map::LabelMap;
 use super::options::{CodecOptions, DEFAULT_BOUND};
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
@@ -19,6 +20,7 @@ use crate::fit::live::FitOptions;
 use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
+use rayon::prelude::*;
 
 /// The encoder with its reference frame and buffers.
 #[derive(Clone, Debug)]
@@ -38,7 +40,6 @@ pub struct Encoder {
     /// Pixels of each block that the payload calls measured, and those of them that touch the sphere
     /// they got.
     measured: Vec<u64>,
-    hits: Vec<u64>,
     /// Where the mask may differ: pixels of each block that the sensor measured, and those that it did
     /// not and the payload has.
     truth: Vec<u64>,
@@ -50,6 +51,8 @@ pub struct Encoder {
     /// Sphere number to model slot.
     slots: Vec<u16>,
     sections: [Vec<u8>; super::header::SECTIONS],
+    /// Labels of a fast frame.
+    label_run: Vec<u8>,
     since_key: u32,
     last_sequence: Option<u64>,
 }
@@ -94,13 +97,13 @@ impl Encoder {
             plane: Vec::new(),
             scratch: Vec::new(),
             measured: Vec::new(),
-            hits: Vec::new(),
             truth: Vec::new(),
             invented: Vec::new(),
             blocks: Vec::with_capacity(room),
             numbers: Vec::with_capacity(room),
             slots: Vec::with_capacity(room),
             sections: Default::default(),
+            label_run: Vec::new(),
             since_key: 0,
             last_sequence: None,
         })
@@ -148,7 +151,7 @@ impl Encoder {
                 });
             }
         }
-        if self.options.effort == Effort::Live || self.plain {
+        if self.options.effort != Effort::Max || self.plain {
             return self.encode_once(frame, saint, degraded, out);
         }
         let start = self.clone();
@@ -197,7 +200,7 @@ impl Encoder {
         };
         let (mut depths, mut prices) = (surface::NOTHING, [0u16; BLOCK * BLOCK]);
         let mut sum = 0u64;
-        for (k, &hits) in self.hits.iter().enumerate().filter(|h| *h.1 != 0) {
+        for (k, &hits) in self.state.hits.iter().enumerate().filter(|h| *h.1 != 0) {
             let (x0, y0, ..) = mask::extent(&self.rays, k);
             let predicted = &self.state.predicted;
             for (j, row) in depths.chunks_exact_mut(BLOCK).enumerate() {
@@ -224,7 +227,8 @@ impl Encoder {
         let key = reference.is_none();
         // an error on the way leaves no reference
         self.last_sequence = None;
-        self.state.begin(&self.rays, key);
+        let fast = self.options.effort == Effort::Live;
+        self.state.begin(&self.rays, key, fast);
         if !key {
             self.state.follow(&saint.motion);
             let mover = saint.motion.mover();
@@ -248,8 +252,6 @@ impl Encoder {
             mask_choice::smooth(&self.rays, &mut self.plane, past, &mut self.scratch);
             mask::measure(&self.rays, &self.plane, &mut self.measured);
         }
-        self.hits.clear();
-        self.hits.resize(self.rays.blocks(), 0);
         self.choose_palettes(saint);
         self.number_spheres(key);
         for s in &mut self.sections {
@@ -270,6 +272,7 @@ impl Encoder {
             motion: saint.motion,
             degraded,
             plain: self.plain,
+            fast,
             sections: [0, 1, 2, 3].map(|k| self.sections[k].len()),
         };
         out.sequence = frame.sequence;
@@ -300,46 +303,59 @@ impl Encoder {
     }
 
     fn choose_palettes(&mut self, saint: &SaintFrame) {
-        let map = &mut self.state.now.map;
         let errors = Errors {
             plane: &self.plane,
             reach: &self.reach,
             contact: &self.contact,
         };
+        let (rays, measured, truth, plain) = (&self.rays, &self.measured, &self.truth, self.plain);
+        let LabelMap {
+            palettes, sizes, ..
+        } = &mut self.state.now.map;
+        let columns = rays.block_columns;
+        let rows = palettes.par_chunks_mut(columns);
+        let rows = rows.zip(sizes.par_chunks_mut(columns)).enumerate();
+        rows.for_each(|(by, (palettes, sizes))| {
+            for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
+                let k = by * columns + bx;
+                let measured = measured[k];
+                // what was not measured has no label
+                let known = truth.get(k).map_or(measured, |t| measured & t);
+                let known = if known == 0 { measured } else { known };
+                (*palette, *size) = palette_choice::gather(saint, rays, k, known);
+                if plain && *size > 1 {
+                    // no labels to code: what the first does not give back is written as it is
+                    palette[1..].fill(NO_SPHERE);
+                    *size = 1;
+                }
+            }
+        });
         self.blocks.clear();
         self.blocks.resize(saint.spheres.len(), 0);
-        for (k, &measured) in self.measured.iter().enumerate() {
-            // what was not measured has no label
-            let known = self.truth.get(k).map_or(measured, |t| measured & t);
-            let known = if known == 0 { measured } else { known };
-            let (mut palette, mut size) = palette_choice::gather(saint, &self.rays, k, known);
-            if self.plain && size > 1 {
-                // no labels to code: what the first does not give back is written as it is
-                palette[1..].fill(NO_SPHERE);
-                size = 1;
-            }
+        for (palette, &size) in palettes.iter().zip(&*sizes) {
             for &slot in &palette[..usize::from(size)] {
                 if let Some(n) = self.blocks.get_mut(usize::from(slot)) {
                     *n += 1;
                 }
             }
-            (map.palettes[k], map.sizes[k]) = (palette, size);
         }
         let (thrift, blocks) = (self.thrift, &self.blocks);
         let cost = |slot: u16| {
             let shared = blocks.get(usize::from(slot)).map_or(1, |&n| n.max(1));
             thrift.entry + thrift.sphere / shared
         };
-        for (k, &measured) in self.measured.iter().enumerate() {
-            let (palette, size) = (&mut map.palettes[k], &mut map.sizes[k]);
-            if *size > 1 {
-                let at = (k, measured);
-                let left = usize::from(*size);
-                let left =
-                    palette_choice::prune(saint, &self.rays, &errors, at, cost, palette, left);
-                *size = left as u8;
+        let rows = palettes.par_chunks_mut(columns);
+        let rows = rows.zip(sizes.par_chunks_mut(columns)).enumerate();
+        rows.for_each(|(by, (palettes, sizes))| {
+            for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
+                if *size > 1 {
+                    let at = (by * columns + bx, measured[by * columns + bx]);
+                    let left = usize::from(*size);
+                    let left = palette_choice::prune(saint, rays, &errors, at, cost, palette, left);
+                    *size = left as u8;
+                }
             }
-        }
+        });
     }
 
     /// Model slots to sphere numbers: a slot keeps its number while it lives; new ones get the
@@ -405,10 +421,19 @@ impl Encoder {
             (_, true) => mask::Precision::Within(mask_choice::PATIENCE),
             _ => mask::Precision::Exact,
         };
-        let mut coder = RangeEncoder::new(&mut self.sections[2]);
-        let wanted = (&self.measured[..], how);
-        self.state
-            .code_mask(&mut coder, &self.rays, (key, motion), wanted);
+        self.state.look_back(&self.rays, motion);
+        let fast = self.state.fast;
+        let [.., section, _] = &mut self.sections;
+        self.label_run.clear();
+        if fast {
+            section.extend([0; 4]);
+        }
+        let mut of_mask = RangeEncoder::new(section);
+        let mut of_labels = RangeEncoder::new(&mut self.label_run);
+        if smooths || !fast {
+            self.state
+                .code_mask(&mut of_mask, &self.rays, key, &self.measured, how);
+        }
         if smooths {
             let decided = (&self.state.now.mask, &self.truth[..]);
             let (measured, invented) = (&mut self.measured, &mut self.invented);
@@ -422,10 +447,28 @@ impl Encoder {
             contact: &self.contact,
         };
         let pixels = (&self.measured[..], &self.invented[..]);
-        let mut choice = Cheapest::new(&self.rays, errors, pixels, &mut self.hits);
-        self.state
-            .code_labels(&mut coder, &self.rays, &self.reach, key, &mut choice);
-        coder.finish();
+        let mut choice = Cheapest::new(&self.rays, errors, pixels);
+        let (rays, reach) = (&self.rays, &self.reach);
+        if !fast {
+            self.state
+                .code_labels(&mut of_mask, rays, reach, key, &mut choice);
+            of_mask.finish();
+            return;
+        }
+        if smooths {
+            self.state
+                .code_labels(&mut of_labels, rays, reach, key, &mut choice);
+        } else {
+            let coders = (&mut of_mask, &mut of_labels);
+            let wanted = (&self.measured[..], how);
+            self.state
+                .code_pixels_fast(coders, rays, reach, key, wanted, &mut choice);
+        }
+        of_mask.finish();
+        of_labels.finish();
+        let length = (section.len() - 4) as u32;
+        section[..4].copy_from_slice(&length.to_le_bytes());
+        section.extend_from_slice(&self.label_run);
     }
 
     fn code_spheres(&mut self, saint: &SaintFrame, report: &mut EncodeReport) {
@@ -488,18 +531,18 @@ impl Encoder {
 
     /// What of each block its spheres give back, and so its kind.
     fn choose_kinds(&mut self, report: &mut EncodeReport) {
-        report.touching_pixels = self.hits.iter().map(|h| h.count_ones()).sum();
+        report.touching_pixels = self.state.hits.iter().map(|h| h.count_ones()).sum();
         if self.options.tolerance.lossless {
             self.keep_exact_hits();
         }
-        let now = &mut self.state.now;
+        let State { now, hits, .. } = &mut self.state;
         for (k, kind) in now.kinds.iter_mut().enumerate() {
             let size = usize::from(now.map.sizes[k]);
             if size == 0 {
                 continue;
             }
             let all = self.measured[k];
-            let missed = (all & !self.hits[k]).count_ones();
+            let missed = (all & !hits[k]).count_ones();
             *kind = if missed == 0 {
                 Kind::Smooth
             } else if !self.plain && missed * DENSE_FROM < all.count_ones() {
@@ -512,16 +555,19 @@ impl Encoder {
 
     /// Lossless, a hit is a pixel whose sphere gives the integer itself.
     fn keep_exact_hits(&mut self) {
-        let (rays, state) = (&self.rays, &self.state);
+        let rays = &self.rays;
+        let State {
+            predicted, hits, ..
+        } = &mut self.state;
         let stride = rays.stride();
-        for (k, hits) in self.hits.iter_mut().enumerate() {
+        for (k, hits) in hits.iter_mut().enumerate() {
             let (x0, y0) = (
                 k % rays.block_columns * BLOCK,
                 k / rays.block_columns * BLOCK,
             );
             for j in 0..BLOCK {
-                let start = state.predicted.index(x0, y0 + j);
-                let row = &state.predicted.cells()[start..start + BLOCK];
+                let start = predicted.index(x0, y0 + j);
+                let row = &predicted.cells()[start..start + BLOCK];
                 let raw = &self.plane[(y0 + j) * stride + x0..][..BLOCK];
                 for i in 0..BLOCK {
                     if to_integer(row[i]) != raw[i] {
@@ -533,7 +579,7 @@ impl Encoder {
     }
 
     fn code_residuals(&mut self, key: bool) -> Result<(), CodecError> {
-        let (rays, plane, hits) = (&self.rays, &self.plane, &self.hits);
+        let (rays, plane) = (&self.rays, &self.plane);
         let stride = rays.stride();
         if self.plain {
             let section = &mut self.sections[3];
@@ -553,10 +599,7 @@ impl Encoder {
         }
         let mut coder = RangeEncoder::new(&mut self.sections[3]);
         let how = (key, self.options.tolerance.lossless);
-        let wanted = |block: usize, x: usize, y: usize| {
-            let bit = y % BLOCK * BLOCK + x % BLOCK;
-            (plane[y * stride + x], hits[block] >> bit & 1 != 0)
-        };
+        let wanted = |x: usize, y: usize| plane[y * stride + x];
         self.state
             .code_residual(&mut coder, rays, &self.reach, how, Some(plane), wanted)
             .map_err(|_| CodecError::Limit("a depth integer beyond 65535".to_string()))?;

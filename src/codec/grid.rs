@@ -1,6 +1,7 @@
 //! Bordered planes: images whose neighbours can be read without asking where the edge is.
 
 use crate::deproject::{BLOCK, Rays};
+use rayon::prelude::*;
 
 /// Cells of border on the left and right (also keeps rows aligned) and rows above and below.
 const SIDE: usize = 8;
@@ -33,6 +34,19 @@ impl<T: Copy> Plane<T> {
             let start = self.index(x, y + j);
             self.cells[start..start + BLOCK].fill(value);
         }
+    }
+
+    /// The rows of blocks, to be written side by side.
+    pub fn block_rows(&mut self) -> impl IndexedParallelIterator<Item = BlockRow<'_, T>>
+    where
+        T: Send,
+    {
+        let stride = self.stride;
+        let border = ROWS * stride;
+        let inner = self.cells.len().saturating_sub(2 * border);
+        let rows = &mut self.cells[border..][..inner];
+        rows.par_chunks_exact_mut((BLOCK * stride).max(1))
+            .map(move |cells| BlockRow { stride, cells })
     }
 
     /// Writes the pixels of the block that starts at (x, y), row by row.
@@ -69,5 +83,30 @@ impl<T: Copy> Plane<T> {
     #[inline(always)]
     pub fn cells_mut(&mut self) -> &mut [T] {
         &mut self.cells
+    }
+}
+
+/// One row of a plane's blocks.
+pub struct BlockRow<'a, T> {
+    stride: usize,
+    cells: &'a mut [T],
+}
+
+impl<T: Copy> BlockRow<'_, T> {
+    /// Writes `value` to all pixels of the block that starts at column `x`.
+    #[inline(always)]
+    pub fn fill_block(&mut self, x: usize, value: T) {
+        for row in self.cells.chunks_exact_mut(self.stride) {
+            row[SIDE + x..][..BLOCK].fill(value);
+        }
+    }
+
+    /// Writes the pixels of the block that starts at column `x`, row by row.
+    #[inline(always)]
+    pub fn write_block(&mut self, x: usize, values: &[T; BLOCK * BLOCK]) {
+        let rows = self.cells.chunks_exact_mut(self.stride);
+        for (row, values) in rows.zip(values.chunks_exact(BLOCK)) {
+            row[SIDE + x..][..BLOCK].copy_from_slice(values);
+        }
     }
 }

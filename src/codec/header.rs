@@ -21,6 +21,7 @@ const LOSSLESS: u8 = 2;
 const DEGRADED: u8 = 4;
 const MOVED: u8 = 8;
 const PLAIN: u8 = 16;
+const FAST: u8 = 32;
 
 /// How well a measurement must come back.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,6 +129,8 @@ pub struct Header {
     pub degraded: bool,
     /// True where mask pixels and depths are written plainly, for speed.
     pub plain: bool,
+    /// True where bits have one context each, and mask and labels are apart, for speed.
+    pub fast: bool,
     /// Bytes of each section: blocks, spheres, pixels, residual.
     pub sections: [usize; SECTIONS],
 }
@@ -147,7 +150,8 @@ impl Header {
                 | (u8::from(lossless) * LOSSLESS)
                 | (u8::from(self.degraded) * DEGRADED)
                 | (u8::from(self.is_moved()) * MOVED)
-                | (u8::from(self.plain) * PLAIN),
+                | (u8::from(self.plain) * PLAIN)
+                | (u8::from(self.fast) * FAST),
         );
         write_varint(out, self.sequence);
         out.extend(self.time.device_ns.to_le_bytes());
@@ -208,7 +212,7 @@ impl Header {
             return Err(CodecError::Version { found: version });
         }
         let flags = r.byte()?;
-        if flags & !(KEY | LOSSLESS | DEGRADED | MOVED | PLAIN) != 0 {
+        if flags & !(KEY | LOSSLESS | DEGRADED | MOVED | PLAIN | FAST) != 0 {
             return Err(CodecError::Corrupt {
                 at: 3,
                 what: "flags of no known meaning are set",
@@ -273,6 +277,7 @@ impl Header {
                 motion,
                 degraded: flags & DEGRADED != 0,
                 plain: flags & PLAIN != 0,
+                fast: flags & FAST != 0,
                 sections,
             },
             bytes,

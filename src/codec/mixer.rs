@@ -81,7 +81,7 @@ static RATE: [i32; SETTLED as usize + 1] = {
 
 /// One context's estimate: probability of a one in the upper, bits seen in the lower half.
 #[derive(Clone, Copy, Debug)]
-pub struct Estimate(u32);
+struct Estimate(u32);
 
 impl Default for Estimate {
     fn default() -> Self {
@@ -90,6 +90,12 @@ impl Default for Estimate {
 }
 
 impl Estimate {
+    /// Probability of a one, in 1/65536, kept from certainty.
+    #[inline(always)]
+    fn one(self) -> u32 {
+        (self.0 >> 16).clamp(48, 65488)
+    }
+
     #[inline(always)]
     fn log_odds(self) -> i32 {
         i32::from(STRETCH[(self.0 >> 20) as usize])
@@ -106,7 +112,7 @@ impl Estimate {
 
 /// Weights of the lanes.
 #[derive(Clone, Copy, Debug)]
-pub struct Weights([i32; LANES]);
+struct Weights([i32; LANES]);
 
 impl Default for Weights {
     fn default() -> Self {
@@ -114,6 +120,15 @@ impl Default for Weights {
         weights[CONTEXTS] = 0;
         Self(weights)
     }
+}
+
+/// What one mixed bit looks at: a place in each list of estimates, and its weights.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Place {
+    /// One for each context.
+    pub contexts: [usize; CONTEXTS],
+    /// Which weights.
+    pub weights: usize,
 }
 
 /// What estimates and weights say of a bit that is still to be coded.
@@ -124,57 +139,101 @@ pub struct Mixture {
 }
 
 impl Mixture {
-    /// Mixes the estimates.
-    #[inline(always)]
-    #[must_use]
-    pub fn of(estimates: [&Estimate; CONTEXTS], weights: &Weights) -> Self {
-        let mut lanes = [CONSTANT; LANES];
-        for (lane, e) in lanes.iter_mut().zip(estimates) {
-            *lane = e.log_odds();
-        }
-        let sum: i32 = lanes.iter().zip(&weights.0).map(|(s, w)| s * w).sum();
-        let one = u32::from(SQUASH[((sum >> ONE).clamp(-MOST, MOST) + MOST) as usize]);
-        Self { lanes, one }
-    }
-
     /// Probability of a one, in 1/65536.
     #[inline(always)]
     #[must_use]
     pub const fn one(&self) -> u32 {
         self.one
     }
+}
 
-    /// Codes `value`; the estimates and weights that were mixed learn it.
+/// The learnt estimates and weights of one section's mixed bits.
+///
+/// `FAST`, a bit is coded under its first context alone, and only that one learns: on frames of a
+/// Kinect and two RealSense cameras 1 to 2 % more bits at the default bound, 4 % without loss, for
+/// less than half the time a bit.
+#[derive(Clone, Debug)]
+pub struct Mixer {
+    estimates: [Vec<Estimate>; CONTEXTS],
+    weights: Vec<Weights>,
+}
+
+impl Mixer {
+    /// So many places of each context, and so many weights.
+    #[must_use]
+    pub fn new(contexts: [usize; CONTEXTS], weights: usize) -> Self {
+        Self {
+            estimates: contexts.map(|n| vec![Estimate::default(); n]),
+            weights: vec![Weights::default(); weights],
+        }
+    }
+
+    /// Back to the start.
+    pub fn reset(&mut self) {
+        for estimates in &mut self.estimates {
+            estimates.fill(Estimate::default());
+        }
+        self.weights.fill(Weights::default());
+    }
+
+    /// What is known of a bit at this place.
     #[inline(always)]
-    pub fn code<C: Coder>(
-        &self,
+    #[must_use]
+    pub fn mix<const FAST: bool>(&self, at: &Place) -> Mixture {
+        let [a, b, c] = &self.estimates;
+        if FAST {
+            return Mixture {
+                lanes: [0; LANES],
+                one: a[at.contexts[0]].one(),
+            };
+        }
+        let mut lanes = [CONSTANT; LANES];
+        let estimates = [a[at.contexts[0]], b[at.contexts[1]], c[at.contexts[2]]];
+        for (lane, e) in lanes.iter_mut().zip(estimates) {
+            *lane = e.log_odds();
+        }
+        let weights = &self.weights[at.weights].0;
+        let sum: i32 = lanes.iter().zip(weights).map(|(s, w)| s * w).sum();
+        let one = u32::from(SQUASH[((sum >> ONE).clamp(-MOST, MOST) + MOST) as usize]);
+        Mixture { lanes, one }
+    }
+
+    /// Codes `value` under `mixture`, that of this place; what was mixed learns it.
+    #[inline(always)]
+    pub fn code_mixed<const FAST: bool, C: Coder>(
+        &mut self,
         coder: &mut C,
-        estimates: [&mut Estimate; CONTEXTS],
-        weights: &mut Weights,
+        at: &Place,
+        mixture: &Mixture,
         value: bool,
     ) -> bool {
-        let bit = coder.chance(self.one, value);
-        let error = ((i32::from(bit) << 16) - self.one as i32) >> 4;
-        for (w, s) in weights.0.iter_mut().zip(self.lanes) {
-            *w = (*w + ((s * error + (1 << 12)) >> 13)).clamp(-HEAVIEST, HEAVIEST);
+        let bit = coder.chance(mixture.one, value);
+        let [a, b, c] = &mut self.estimates;
+        a[at.contexts[0]].learn(bit);
+        if FAST {
+            return bit;
         }
-        for e in estimates {
-            e.learn(bit);
+        b[at.contexts[1]].learn(bit);
+        c[at.contexts[2]].learn(bit);
+        let error = ((i32::from(bit) << 16) - mixture.one as i32) >> 4;
+        let weights = &mut self.weights[at.weights].0;
+        for (w, s) in weights.iter_mut().zip(mixture.lanes) {
+            *w = (*w + ((s * error + (1 << 12)) >> 13)).clamp(-HEAVIEST, HEAVIEST);
         }
         bit
     }
-}
 
-/// Codes `value` under the mixed estimates; all of them and the weights learn it.
-#[inline(always)]
-pub fn code<C: Coder>(
-    coder: &mut C,
-    estimates: [&mut Estimate; CONTEXTS],
-    weights: &mut Weights,
-    value: bool,
-) -> bool {
-    let [a, b, c] = estimates;
-    Mixture::of([a, b, c], weights).code(coder, [a, b, c], weights, value)
+    /// Codes `value` at this place.
+    #[inline(always)]
+    pub fn code<const FAST: bool, C: Coder>(
+        &mut self,
+        coder: &mut C,
+        at: &Place,
+        value: bool,
+    ) -> bool {
+        let mixture = self.mix::<FAST>(at);
+        self.code_mixed::<FAST, C>(coder, at, &mixture, value)
+    }
 }
 
 #[cfg(test)]
@@ -216,27 +275,25 @@ mod tests {
                 [a, b, (a ^ b) ^ (r % 997 < 10)]
             })
             .collect();
-        let code_all = |coder: &mut dyn FnMut([&mut Estimate; 3], &mut Weights, bool) -> bool| {
-            let mut estimates = [[Estimate::default(); 4]; 3];
-            let mut weights = Weights::default();
+        let code_all = |coder: &mut dyn FnMut(&mut Mixer, &Place, bool) -> bool| {
+            let mut mixer = Mixer::new([4; CONTEXTS], 1);
             let mut read = Vec::new();
             for &[a, b, value] in &bits {
-                let [x, y, z] = &mut estimates;
-                let at = [
-                    &mut x[usize::from(a)],
-                    &mut y[usize::from(b)],
-                    &mut z[usize::from(a) * 2 + usize::from(b)],
-                ];
-                read.push(coder(at, &mut weights, value));
+                let [a, b] = [a, b].map(usize::from);
+                let at = Place {
+                    contexts: [a, b, a * 2 + b],
+                    weights: 0,
+                };
+                read.push(coder(&mut mixer, &at, value));
             }
             read
         };
         let mut bytes = Vec::new();
         let mut encoder = Encoder::new(&mut bytes);
-        code_all(&mut |e, w, v| code(&mut encoder, e, w, v));
+        code_all(&mut |mixer, at, v| mixer.code::<false, _>(&mut encoder, at, v));
         encoder.finish();
         let mut decoder = Decoder::new(&bytes);
-        let read = code_all(&mut |e, w, _| code(&mut decoder, e, w, false));
+        let read = code_all(&mut |mixer, at, _| mixer.code::<false, _>(&mut decoder, at, false));
         assert!(read.iter().zip(&bits).all(|(r, b)| *r == b[2]));
         let p = 10.0 / 997.0f64;
         let entropy = 20_000.0 * -(p * p.log2() + (1.0 - p) * (1.0 - p).log2());

@@ -5,7 +5,7 @@
 //! a cell are the pattern around it, how far the last claims of its row and column are off, and how
 //! many there are.
 
-use super::mixer::{self, CONTEXTS, Estimate, Weights};
+use super::mixer::{Mixer, Place};
 use super::range_coder::{Bit, Coder, Integer};
 use crate::contact_map::polar::{MAX_STEPS, Patch, PatchCell};
 use glam::Vec3;
@@ -125,8 +125,7 @@ pub struct Models {
     beside: [Bit; 64],
     more: [Bit; 2],
     below: [Bit; 2],
-    cells: [Vec<Estimate>; CONTEXTS],
-    weights: [Weights; 8],
+    cells: Mixer,
 }
 
 impl Default for Models {
@@ -154,8 +153,7 @@ impl Default for Models {
             beside: [Bit::default(); 64],
             more: Default::default(),
             below: Default::default(),
-            cells: [1 << 14, 81 * 72, 30 * 81].map(|n| vec![Estimate::default(); n]),
-            weights: Default::default(),
+            cells: Mixer::new([1 << 14, 81 * 72, 30 * 81], 8),
         }
     }
 }
@@ -434,7 +432,7 @@ impl Window {
 
     /// The contexts of the cell at row `j`, column `x`: the pattern around it, the gaps to the
     /// claims before it, and their number with the gaps above it.
-    fn contexts(&self, j: usize, x: usize) -> [usize; CONTEXTS] {
+    fn contexts(&self, j: usize, x: usize) -> [usize; 3] {
         // the cells of a row from `back` columns before to `count` columns on
         let piece = |up: usize, back: usize, count: usize| {
             self.rows[j - up] as usize >> (x - back) & ((1 << count) - 1)
@@ -479,14 +477,13 @@ fn code_tile<C: Coder>(coder: &mut C, models: &mut Models, around: &Around, want
             if 8 * j + i == 63 && tile == 0 {
                 return 1 << 63;
             }
-            let at = window.contexts(8 + j, 8 + i);
-            let [a, b, c] = &mut models.cells;
-            let claimed = mixer::code(
-                coder,
-                [&mut a[at[0]], &mut b[at[1]], &mut c[at[2]]],
-                &mut models.weights[at[2] / 324],
-                wanted >> (8 * j + i) & 1 != 0,
-            );
+            let contexts = window.contexts(8 + j, 8 + i);
+            let at = Place {
+                contexts,
+                weights: contexts[2] / 324,
+            };
+            let wanted = wanted >> (8 * j + i) & 1 != 0;
+            let claimed = models.cells.code::<false, C>(coder, &at, wanted);
             tile |= u64::from(claimed) << (8 * j + i);
             window.rows[8 + j] |= u32::from(claimed) << (8 + i);
         }

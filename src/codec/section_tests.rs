@@ -3,11 +3,12 @@
 use super::choice::{Errors, MISS_COST};
 use super::flow;
 use super::grid::Plane;
-use super::label_map::{self, AsRead, Choice, LabelMap};
+use super::label_map::{AsRead, Choice, LabelMap};
 use super::mask::{self, Fill, Mask, Past, QUADS, quad_pixels};
 use super::palette_choice;
 use super::range_coder::{self, Coder, Decoder, Encoder};
 use super::sphere_table::Entry;
+use super::state;
 use super::surface::{self, Depths, Surfaces};
 use crate::contact_map::assign::{EMPTY, PALETTE};
 use crate::contact_map::contact::Reach;
@@ -106,6 +107,7 @@ fn code_mask<C: Coder>(
     rays: &Rays,
     before: Option<(&Mask, &[isize])>,
     wanted: &[u64],
+    fast: bool,
 ) -> Mask {
     let mut mask = Mask::default();
     mask.reset(rays);
@@ -115,15 +117,13 @@ fn code_mask<C: Coder>(
     });
     mask::code_fills(coder, fills, rays, &mut mask, before.map(|b| b.0), wanted);
     mask::code_quads(coder, models, rays, &mut mask, past, wanted);
-    mask::code_pixels(
-        coder,
-        models,
-        rays,
-        &mut mask,
-        past,
-        wanted,
-        mask::Precision::Exact,
-    );
+    let code = if fast {
+        mask::code_pixels::<true, C>
+    } else {
+        mask::code_pixels::<false, C>
+    };
+    let how = mask::Precision::Exact;
+    code(coder, models, rays, &mut mask, past, wanted, how);
     mask
 }
 
@@ -132,7 +132,7 @@ proptest! {
 
     /// Any mask of any size comes back: a key frame, then two that look into the one before.
     #[test]
-    fn masks_come_back((width, height) in sizes(), seed in any::<u64>()) {
+    fn masks_come_back((width, height) in sizes(), fast in any::<bool>(), seed in any::<u64>()) {
         let rays = Rays::new(&camera(width, height));
         let mut chance = Chance(seed);
         let (mut written, mut read) = Default::default();
@@ -146,10 +146,10 @@ proptest! {
             let past = before.as_ref().map(|b| (b, shifts.as_slice()));
             let mut bytes = Vec::new();
             let mut coder = Encoder::new(&mut bytes);
-            let there = code_mask(&mut coder, &mut written, &rays, past, &wanted);
+            let there = code_mask(&mut coder, &mut written, &rays, past, &wanted, fast);
             coder.finish();
             let mut coder = Decoder::new(&bytes);
-            let here = code_mask(&mut coder, &mut read, &rays, past, &[]);
+            let here = code_mask(&mut coder, &mut read, &rays, past, &[], fast);
             prop_assert!(!coder.overran());
             prop_assert_eq!(here.pixels.cells(), there.pixels.cells());
             prop_assert_eq!((&here.fills, &here.quads), (&there.fills, &there.quads));
@@ -168,7 +168,7 @@ proptest! {
 
     /// Any labels out of any palettes come back, with the depths of their spheres.
     #[test]
-    fn labels_come_back((width, height) in sizes(), seed in any::<u64>()) {
+    fn labels_come_back((width, height) in sizes(), fast in any::<bool>(), seed in any::<u64>()) {
         let rays = Rays::new(&camera(width, height));
         let mut chance = Chance(seed);
         let reach = Reach::new(&ContactDistance::default(), UNIT_M);
@@ -182,7 +182,7 @@ proptest! {
                 .map(|k| chance.block() & mask::inside(&rays, k))
                 .collect();
             let mut models = Default::default();
-            let mask = code_mask(&mut Encoder::new(&mut Vec::new()), &mut models, &rays, None, &wanted);
+            let mask = code_mask(&mut Encoder::new(&mut Vec::new()), &mut models, &rays, None, &wanted, false);
             let mut there = LabelMap::default();
             there.reset(&rays);
             for (k, fill) in mask.fills.iter().enumerate() {
@@ -208,14 +208,15 @@ proptest! {
             let surfaces = Surfaces(&entries);
             let mut bytes = Vec::new();
             let mut coder = Encoder::new(&mut bytes);
-            label_map::code(
-                &mut coder, &mut written, &rays, &reach, &mask, &mut there, past, &surfaces,
+            let known = (!fast).then_some(&mask);
+            state::code_labels(
+                &mut coder, &mut written, &rays, &reach, known, &mut there, past, &surfaces,
                 &mut drawn, &mut script,
             );
             coder.finish();
             let mut coder = Decoder::new(&bytes);
-            label_map::code(
-                &mut coder, &mut read, &rays, &reach, &mask, &mut here, past, &surfaces,
+            state::code_labels(
+                &mut coder, &mut read, &rays, &reach, known, &mut here, past, &surfaces,
                 &mut rebuilt, &mut AsRead,
             );
             prop_assert!(!coder.overran());

@@ -42,6 +42,8 @@ pub(super) struct Picture {
 #[derive(Clone, Debug, Default)]
 pub(super) struct State {
     pub models: Models,
+    /// The frame is coded for speed (`FORMAT.md` §1.6, "Fast").
+    pub fast: bool,
     pub now: Picture,
     pub before: Picture,
     pub new: NewNumbers,
@@ -55,6 +57,8 @@ pub(super) struct State {
     /// Rebuilt depth integers; 0 where nothing was measured.
     pub rebuilt: Plane<u16>,
     pub traces: Plane<Trace>,
+    /// Measured pixels of each block that touch the sphere they got (encoding only).
+    pub hits: Vec<u64>,
     /// What the mask took of the sections of blocks and of pixels, in 1/16 bit (encoding only).
     pub mask_bits: [u64; 2],
 }
@@ -76,7 +80,8 @@ impl State {
     }
 
     /// Starts a frame: the last one becomes the reference, or is forgotten for a key frame.
-    pub fn begin(&mut self, rays: &Rays, key: bool) {
+    pub fn begin(&mut self, rays: &Rays, key: bool, fast: bool) {
+        self.fast = fast;
         std::mem::swap(&mut self.now, &mut self.before);
         if key {
             self.models.mask.reset();
@@ -91,6 +96,7 @@ impl State {
         self.now.map.reset(rays);
         self.now.kinds.clear();
         self.now.kinds.resize(rays.blocks(), Kind::Smooth);
+        self.hits.resize(rays.blocks(), 0);
         self.bins.cover(rays);
         self.predicted.cover(rays, 0.0);
         self.now.entries.clear();
@@ -150,37 +156,33 @@ impl State {
         )
     }
 
-    /// Section *pixels*, first half: the mask. `wanted`: measured pixels of each block, of which some
-    /// may go another way (not used to decode).
+    /// Where the blocks were in the last frame: what the section *pixels* needs first.
+    pub fn look_back(&mut self, rays: &Rays, motion: &Motion) {
+        let State { now, shifts, .. } = self;
+        let stride = now.mask.pixels.stride();
+        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
+    }
+
+    /// Section *pixels*, the mask. `wanted`: measured pixels of each block, of which some may go
+    /// another way (not used to decode).
     pub fn code_mask<C: Coder>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
-        (key, motion): (bool, &Motion),
-        (wanted, how): (&[u64], mask::Precision),
+        key: bool,
+        wanted: &[u64],
+        how: mask::Precision,
     ) {
-        let State {
-            models,
-            now,
-            before,
-            shifts,
-            mask_bits,
-            ..
-        } = self;
-        let stride = now.mask.pixels.stride();
-        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
         let past = (!key).then_some(Past {
-            cells: before.mask.pixels.cells(),
-            shifts,
+            cells: self.before.mask.pixels.cells(),
+            shifts: &self.shifts,
         });
-        let models = &mut models.mask;
-        let start = coder.written();
-        mask::code_quads(coder, models, rays, &mut now.mask, past, wanted);
-        mask::code_pixels(coder, models, rays, &mut now.mask, past, wanted, how);
-        mask_bits[1] = coder.written() - start;
+        let (models, mask) = (&mut self.models.mask, &mut self.now.mask);
+        self.mask_bits[1] = code_mask(coder, models, rays, mask, past, wanted, how, self.fast);
     }
 
-    /// Section *pixels*, second half: labels. Predicted depths come with them.
+    /// Section *pixels*, the labels: after the mask, or, fast, without it. Predicted depths come with
+    /// them.
     pub fn code_labels<C: Coder, W: Choice>(
         &mut self,
         coder: &mut C,
@@ -189,39 +191,87 @@ impl State {
         key: bool,
         choice: &mut W,
     ) {
+        let past = (!key).then_some(Past {
+            cells: self.before.map.pixels.cells(),
+            shifts: &self.shifts,
+        });
+        let mask = (!self.fast).then_some(&self.now.mask);
+        let (map, surfaces) = (&mut self.now.map, Surfaces(&self.now.entries));
+        let (predicted, hits) = (&mut self.predicted, &mut self.hits);
+        label_map::write_alone(rays, map, &surfaces, predicted, choice, hits);
+        code_labels(
+            coder,
+            &mut self.models.labels,
+            rays,
+            reach,
+            mask,
+            map,
+            past,
+            &surfaces,
+            predicted,
+            choice,
+            hits,
+        );
+    }
+
+    /// Both of a fast frame, side by side: neither needs the other.
+    pub fn code_pixels_fast<C: Coder + Send, W: Choice + Send>(
+        &mut self,
+        (of_mask, of_labels): (&mut C, &mut C),
+        rays: &Rays,
+        reach: &Reach,
+        key: bool,
+        (wanted, how): (&[u64], mask::Precision),
+        choice: &mut W,
+    ) {
         let State {
             models,
             now,
             before,
             predicted,
             shifts,
+            hits,
+            mask_bits,
             ..
         } = self;
-        let past = (!key).then_some(Past {
-            cells: before.map.pixels.cells(),
-            shifts,
-        });
-        label_map::code(
-            coder,
-            &mut models.labels,
-            rays,
-            reach,
-            &now.mask,
-            &mut now.map,
-            past,
-            &Surfaces(&now.entries),
-            predicted,
-            choice,
+        let (mask_past, label_past) = (before.mask.pixels.cells(), before.map.pixels.cells());
+        let past = (!key).then_some((
+            Past {
+                cells: mask_past,
+                shifts,
+            },
+            Past {
+                cells: label_past,
+                shifts,
+            },
+        ));
+        let Picture {
+            mask, map, entries, ..
+        } = now;
+        let surfaces = Surfaces(entries);
+        label_map::write_alone(rays, map, &surfaces, predicted, choice, hits);
+        rayon::join(
+            || {
+                let (models, past) = (&mut models.mask, past.map(|p| p.0));
+                mask_bits[1] = code_mask(of_mask, models, rays, mask, past, wanted, how, true);
+            },
+            || {
+                let (models, past) = (&mut models.labels, past.map(|p| p.1));
+                code_labels(
+                    of_labels, models, rays, reach, None, map, past, &surfaces, predicted, choice,
+                    hits,
+                );
+            },
         );
     }
 
     /// Section *residual*: integers, kinds of blocks and the pixels that come back from bins. `wanted`
-    /// tells the integer of a pixel and whether its sphere gives it back, `plane` holds all integers
-    /// (both not used to decode).
+    /// tells the integer of a pixel, `hits` whether its sphere gives it back, `plane` holds all integers
+    /// (none used to decode).
     ///
     /// # Errors
     /// [`NoSuchInteger`] where the bytes list one (decoding only).
-    pub fn code_residual<C: Coder, W: Fn(usize, usize, usize) -> (u16, bool)>(
+    pub fn code_residual<C: Coder, W: Fn(usize, usize) -> u16>(
         &mut self,
         coder: &mut C,
         rays: &Rays,
@@ -233,12 +283,14 @@ impl State {
         self.cover(rays);
         let State {
             models,
+            fast,
             now,
             before,
             predicted,
             rebuilt,
             traces,
             bins,
+            hits,
             ..
         } = self;
         let models = &mut models.residual;
@@ -251,9 +303,15 @@ impl State {
         }
         bins.prepare(rays, reach, lossless, true);
         rebuild_near(rays, now, predicted, rebuilt);
-        residual::code_pixels(
-            coder, models, rays, bins, now, predicted, rebuilt, traces, wanted,
-        );
+        if *fast {
+            residual::code_pixels::<true, C, W>(
+                coder, models, rays, bins, now, predicted, rebuilt, traces, hits, wanted,
+            );
+        } else {
+            residual::code_pixels::<false, C, W>(
+                coder, models, rays, bins, now, predicted, rebuilt, traces, hits, wanted,
+            );
+        }
         Ok(())
     }
 
@@ -317,6 +375,54 @@ impl State {
                 );
             }
         }
+    }
+}
+
+/// Quads and pixels of the mask; returns the bits they took, in 1/16 bit.
+#[allow(clippy::too_many_arguments)] // one section's whole state
+fn code_mask<C: Coder>(
+    coder: &mut C,
+    models: &mut mask::Models,
+    rays: &Rays,
+    mask: &mut Mask,
+    past: Option<Past<'_, u8>>,
+    wanted: &[u64],
+    how: mask::Precision,
+    fast: bool,
+) -> u64 {
+    let start = coder.written();
+    mask::code_quads(coder, models, rays, mask, past, wanted);
+    if fast {
+        mask::code_pixels::<true, C>(coder, models, rays, mask, past, wanted, how);
+    } else {
+        mask::code_pixels::<false, C>(coder, models, rays, mask, past, wanted, how);
+    }
+    coder.written() - start
+}
+
+/// Labels within the mask, or, fast, without one, of blocks of several spheres.
+#[allow(clippy::too_many_arguments)] // one section's whole state
+pub(super) fn code_labels<C: Coder, W: Choice>(
+    coder: &mut C,
+    models: &mut label_map::Models,
+    rays: &Rays,
+    reach: &Reach,
+    mask: Option<&Mask>,
+    map: &mut LabelMap,
+    past: Option<Past<'_, u16>>,
+    surfaces: &Surfaces<'_>,
+    predicted: &mut Plane<f32>,
+    choice: &mut W,
+    hits: &mut [u64],
+) {
+    if mask.is_some() {
+        label_map::code::<false, C, W>(
+            coder, models, rays, reach, mask, map, past, surfaces, predicted, choice, hits,
+        );
+    } else {
+        label_map::code::<true, C, W>(
+            coder, models, rays, reach, None, map, past, surfaces, predicted, choice, hits,
+        );
     }
 }
 
