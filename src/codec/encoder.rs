@@ -3,7 +3,6 @@
 use super::choice::{Cheapest, Errors};
 use super::effort::{Effort, TRIALS, Thrift, USUAL};
 use super::header::{Header, Stream};
-use super::label_map::LabelMap;
 use super::options::{CodecOptions, DEFAULT_BOUND};
 use super::range_coder::Encoder as RangeEncoder;
 use super::residual::Kind;
@@ -20,7 +19,6 @@ use crate::fit::live::FitOptions;
 use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
-use rayon::prelude::*;
 
 /// The encoder with its reference frame and buffers.
 #[derive(Clone, Debug)]
@@ -308,54 +306,22 @@ impl Encoder {
             reach: &self.reach,
             contact: &self.contact,
         };
-        let (rays, measured, truth, plain) = (&self.rays, &self.measured, &self.truth, self.plain);
-        let LabelMap {
-            palettes, sizes, ..
-        } = &mut self.state.now.map;
-        let columns = rays.block_columns;
-        let rows = palettes.par_chunks_mut(columns);
-        let rows = rows.zip(sizes.par_chunks_mut(columns)).enumerate();
-        rows.for_each(|(by, (palettes, sizes))| {
-            for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
-                let k = by * columns + bx;
-                let measured = measured[k];
+        let (measured, truth) = (&self.measured, &self.truth);
+        palette_choice::choose(
+            saint,
+            &self.rays,
+            &errors,
+            measured,
+            |k| {
                 // what was not measured has no label
-                let known = truth.get(k).map_or(measured, |t| measured & t);
-                let known = if known == 0 { measured } else { known };
-                (*palette, *size) = palette_choice::gather(saint, rays, k, known);
-                if plain && *size > 1 {
-                    // no labels to code: what the first does not give back is written as it is
-                    palette[1..].fill(NO_SPHERE);
-                    *size = 1;
-                }
-            }
-        });
-        self.blocks.clear();
-        self.blocks.resize(saint.spheres.len(), 0);
-        for (palette, &size) in palettes.iter().zip(&*sizes) {
-            for &slot in &palette[..usize::from(size)] {
-                if let Some(n) = self.blocks.get_mut(usize::from(slot)) {
-                    *n += 1;
-                }
-            }
-        }
-        let (thrift, blocks) = (self.thrift, &self.blocks);
-        let cost = |slot: u16| {
-            let shared = blocks.get(usize::from(slot)).map_or(1, |&n| n.max(1));
-            thrift.entry + thrift.sphere / shared
-        };
-        let rows = palettes.par_chunks_mut(columns);
-        let rows = rows.zip(sizes.par_chunks_mut(columns)).enumerate();
-        rows.for_each(|(by, (palettes, sizes))| {
-            for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
-                if *size > 1 {
-                    let at = (by * columns + bx, measured[by * columns + bx]);
-                    let left = usize::from(*size);
-                    let left = palette_choice::prune(saint, rays, &errors, at, cost, palette, left);
-                    *size = left as u8;
-                }
-            }
-        });
+                let known = truth.get(k).map_or(measured[k], |t| measured[k] & t);
+                if known == 0 { measured[k] } else { known }
+            },
+            self.plain,
+            &self.thrift,
+            &mut self.blocks,
+            &mut self.state.now.map,
+        );
     }
 
     /// Model slots to sphere numbers: a slot keeps its number while it lives; new ones get the

@@ -5,14 +5,74 @@
 //! explain about as well is left out.
 
 use super::choice::Errors;
+use super::effort::Thrift;
+use super::label_map::LabelMap;
 use super::mask::extent;
 use super::surface::{Depths, packed};
 use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays};
+use rayon::prelude::*;
 
 /// Labels that are told apart in a block.
 const FOUND: usize = 16;
+
+/// Chooses the palettes of `map`, in model slots. `measured` are the pixels of each block, `known` says
+/// which of them have a label; `plain`, a block gets one sphere; `blocks` is a buffer.
+#[allow(clippy::too_many_arguments)] // one choice's whole input
+pub(super) fn choose<K: Fn(usize) -> u64 + Sync>(
+    saint: &SaintFrame,
+    rays: &Rays,
+    errors: &Errors<'_>,
+    measured: &[u64],
+    known: K,
+    plain: bool,
+    thrift: &Thrift,
+    blocks: &mut Vec<u32>,
+    map: &mut LabelMap,
+) {
+    let LabelMap {
+        palettes, sizes, ..
+    } = map;
+    let columns = rays.block_columns;
+    let rows = palettes.par_chunks_mut(columns);
+    let rows = rows.zip(sizes.par_chunks_mut(columns)).enumerate();
+    rows.for_each(|(by, (palettes, sizes))| {
+        for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
+            let k = by * columns + bx;
+            (*palette, *size) = gather(saint, rays, k, known(k));
+            if plain && *size > 1 {
+                // no labels to code: what the first does not give back is written as it is
+                palette[1..].fill(NO_SPHERE);
+                *size = 1;
+            }
+        }
+    });
+    blocks.clear();
+    blocks.resize(saint.spheres.len(), 0);
+    for (palette, &size) in palettes.iter().zip(&*sizes) {
+        for &slot in &palette[..usize::from(size)] {
+            if let Some(n) = blocks.get_mut(usize::from(slot)) {
+                *n += 1;
+            }
+        }
+    }
+    let cost = |slot: u16| {
+        let shared = blocks.get(usize::from(slot)).map_or(1, |&n| n.max(1));
+        thrift.entry + thrift.sphere / shared
+    };
+    let rows = palettes.par_chunks_mut(columns);
+    let rows = rows.zip(sizes.par_chunks_mut(columns)).enumerate();
+    rows.for_each(|(by, (palettes, sizes))| {
+        for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
+            if *size > 1 {
+                let at = (by * columns + bx, measured[by * columns + bx]);
+                let left = usize::from(*size);
+                *size = prune(saint, rays, errors, at, cost, palette, left) as u8;
+            }
+        }
+    });
+}
 
 /// The palette of block `k` in model slots, and its size, before any is left out; `measured` are its
 /// pixels.
