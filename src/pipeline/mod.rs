@@ -37,6 +37,7 @@ pub mod mailbox;
 pub mod packet;
 pub mod percentiles;
 pub mod recorder;
+pub mod rehearsal;
 pub mod report;
 pub mod stages;
 pub mod statistics;
@@ -59,6 +60,7 @@ use error::panic_message;
 use intake::{Intake, Taken};
 use mailbox::mailbox;
 use packet::Packet;
+use rehearsal::Rehearsal;
 use report::Report;
 use stages::{Encode, Model, Shared, Sink};
 use statistics::DropCause;
@@ -74,9 +76,9 @@ const WAITING_TO_KEEP: usize = 64;
 /// Frames that may wait between the later stages of a replay, which evens out their times. Live
 /// they are handed over from stage to stage: a frame that waits there would only grow old.
 const HANDED_OVER: usize = 1;
-/// One packet in each stage and in each later queue; with those that wait, a live source always
-/// finds an empty one.
-const IN_STAGES: usize = 4 + 2 * HANDED_OVER;
+/// One packet in each stage; with those that wait in queues, a live source always finds an empty
+/// one.
+const IN_STAGES: usize = 4;
 /// How often the observer is called.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -202,6 +204,10 @@ pub fn run(
             done,
         };
         let alone = options.threads <= 1;
+        let rehearsal = match options.pace {
+            Pace::Live | Pace::Realtime => Rehearsal::of(source.camera(), model, encode),
+            Pace::Block | Pace::Keep => None,
+        };
         let intake = Intake::new(source, options, alone, clock.now_ns());
         let rest = Rest {
             model,
@@ -210,11 +216,13 @@ pub fn run(
             colors,
         };
         match (alone, options.pace) {
-            (true, Pace::Live) => alone::run_beside_capture(scope, intake, rest, shared, observe),
-            (true, _) => alone::run_in_one_thread(intake, rest, shared, observe),
-            (false, _) => {
-                run_in_threads(scope, intake, rest, options.model_threads, shared, observe);
+            (true, Pace::Live) => {
+                alone::run_beside_capture(scope, intake, rest, rehearsal, shared, observe);
             }
+            (true, _) => {
+                alone::run_in_one_thread(intake, rest, rehearsal.as_ref(), shared, observe);
+            }
+            (false, _) => run_in_threads(scope, intake, rest, rehearsal, shared, observe),
         }
         color.and_then(|thread| join(thread, Stage::Color, shared).flatten())
     });
@@ -240,7 +248,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
     scope: &'scope Scope<'scope, 'env>,
     intake: Intake<'env>,
     rest: Rest<'scope>,
-    model_threads: usize,
+    rehearsal: Option<Rehearsal>,
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
@@ -250,13 +258,14 @@ fn run_in_threads<'scope, 'env: 'scope>(
         sink,
         colors,
     } = rest;
+    let model_threads = intake.model_threads();
     let waiting = waiting(intake.pace());
     let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
     let handed_over = match intake.pace() {
         Pace::Block | Pace::Keep => HANDED_OVER,
         Pace::Realtime | Pace::Live => 0,
     };
-    let packets = IN_STAGES + waiting;
+    let packets = IN_STAGES + 2 * handed_over + waiting;
     let (modelled_tx, modelled) = bounded::<Box<Packet>>(handed_over);
     let (encoded_tx, encoded) = bounded::<Box<Packet>>(handed_over);
     let (empty, empties) = bounded::<Box<Packet>>(packets);
@@ -293,7 +302,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         }
     });
     let capture = spawn(scope, Stage::Capture, shared, move || {
-        capture_all(intake, &captured_tx, &empties, shared);
+        capture_all(intake, &captured_tx, &empties, rehearsal.as_ref(), shared);
     });
 
     while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
@@ -315,21 +324,26 @@ fn capture_all(
     mut intake: Intake<'_>,
     captured: &mailbox::MailboxSender<Box<Packet>>,
     empties: &Receiver<Box<Packet>>,
+    rehearsal: Option<&Rehearsal>,
     shared: &Shared<'_>,
 ) {
     let live = intake.drops_oldest();
-    let mut spare: Option<Box<Packet>> = None;
+    let mut spare = Vec::new();
+    if let Some(rehearsal) = rehearsal {
+        spare = rehearsal.in_threads(captured, empties, shared);
+        intake.begin(shared.begin());
+    }
     // no empty packet will ever come where all stages have gone
-    while let Some(mut packet) = spare.take().or_else(|| empties.recv().ok()) {
+    while let Some(mut packet) = spare.pop().or_else(|| empties.recv().ok()) {
         match intake.take(&mut packet, shared) {
             Taken::End => return,
-            Taken::Again => spare = Some(packet),
+            Taken::Again => spare.push(packet),
             Taken::Frame if live => match captured.put_latest(packet) {
                 Ok(evicted) => {
                     if let Some(evicted) = &evicted {
                         shared.dropped(evicted, DropCause::Queue);
                     }
-                    spare = evicted;
+                    spare.extend(evicted);
                 }
                 Err(refused) => return shared.dropped(&refused, DropCause::Failed),
             },
