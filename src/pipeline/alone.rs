@@ -39,13 +39,14 @@ impl Rest<'_> {
 pub(super) fn run_in_one_thread(
     mut intake: Intake<'_>,
     mut rest: Rest<'_>,
-    rehearsal: Option<&Rehearsal>,
+    rehearsal: Option<Rehearsal>,
     shared: &Shared<'_>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
     let mut packet = Packet::default();
-    if let Some(rehearsal) = rehearsal {
+    if let Some(mut rehearsal) = rehearsal {
         rehearsal.alone(rest.model, rest.encode, &mut packet, shared);
+        rehearsal.wait_for_all(shared);
         intake.begin(shared.begin());
     }
     let mut told_ns = shared.clock.now_ns();
@@ -84,7 +85,7 @@ pub(super) fn run_beside_capture<'scope, 'env: 'scope>(
         let _ = empty.send(Box::default());
     }
     let capture = spawn(scope, Stage::Capture, shared, move || {
-        capture_all(intake, &captured_tx, &empties, rehearsal.as_ref(), shared);
+        capture_all(intake, &captured_tx, &empties, rehearsal, shared);
     });
     let (mut told, mut busy) = (Instant::now(), Instant::now());
     loop {

@@ -13,6 +13,10 @@
 //! counts it. There are as many packets as all stages and queues can hold, so the capture thread
 //! of a live camera never waits for one.
 //!
+//! *Beginning.* Live and `--realtime`, made-up frames take the way of real ones first
+//! ([`rehearsal`]), so that the first real one finds memory taken and costs known. Cameras of a rig
+//! begin together ([`start`]).
+//!
 //! *Shutting down.* A stop flag, a failure or the end of the source ends capture; each stage
 //! empties its queue and drops its sender; threads are joined in the order of the stages. A stage
 //! that failed goes on emptying its queue and counts what it gives up, so the sum of written and
@@ -40,6 +44,7 @@ pub mod recorder;
 pub mod rehearsal;
 pub mod report;
 pub mod stages;
+pub mod start;
 pub mod statistics;
 mod threads;
 pub mod trace;
@@ -63,6 +68,7 @@ use packet::Packet;
 use rehearsal::Rehearsal;
 use report::Report;
 use stages::{Encode, Model, Shared, Sink};
+use start::Place;
 use statistics::DropCause;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{Scope, ScopedJoinHandle};
@@ -135,6 +141,8 @@ pub struct Stages<'a> {
     pub sink: &'a mut dyn Sink,
     /// Timeline file.
     pub trace: Option<Trace>,
+    /// Where streams begin together: this one's place among them.
+    pub start: Option<Place>,
 }
 
 /// How a run ended.
@@ -188,6 +196,7 @@ pub fn run(
         encode,
         sink,
         trace,
+        start,
     } = stages;
     let shared = Shared::new(clock, stop, options, trace);
     let done = AtomicBool::new(false);
@@ -205,8 +214,11 @@ pub fn run(
         };
         let alone = options.threads <= 1;
         let rehearsal = match options.pace {
-            Pace::Live | Pace::Realtime => Rehearsal::of(source.camera(), model, encode),
-            Pace::Block | Pace::Keep => None,
+            Pace::Live | Pace::Realtime => Rehearsal::of(source.camera(), model, encode, start),
+            Pace::Block | Pace::Keep => {
+                drop(start);
+                None
+            }
         };
         let intake = Intake::new(source, options, alone, clock.now_ns());
         let rest = Rest {
@@ -220,7 +232,7 @@ pub fn run(
                 alone::run_beside_capture(scope, intake, rest, rehearsal, shared, observe);
             }
             (true, _) => {
-                alone::run_in_one_thread(intake, rest, rehearsal.as_ref(), shared, observe);
+                alone::run_in_one_thread(intake, rest, rehearsal, shared, observe);
             }
             (false, _) => run_in_threads(scope, intake, rest, rehearsal, shared, observe),
         }
@@ -302,7 +314,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         }
     });
     let capture = spawn(scope, Stage::Capture, shared, move || {
-        capture_all(intake, &captured_tx, &empties, rehearsal.as_ref(), shared);
+        capture_all(intake, &captured_tx, &empties, rehearsal, shared);
     });
 
     while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
@@ -324,13 +336,14 @@ fn capture_all(
     mut intake: Intake<'_>,
     captured: &mailbox::MailboxSender<Box<Packet>>,
     empties: &Receiver<Box<Packet>>,
-    rehearsal: Option<&Rehearsal>,
+    rehearsal: Option<Rehearsal>,
     shared: &Shared<'_>,
 ) {
     let live = intake.drops_oldest();
     let mut spare = Vec::new();
-    if let Some(rehearsal) = rehearsal {
+    if let Some(mut rehearsal) = rehearsal {
         spare = rehearsal.in_threads(captured, empties, shared);
+        rehearsal.wait_for_all(shared);
         intake.begin(shared.begin());
     }
     // no empty packet will ever come where all stages have gone

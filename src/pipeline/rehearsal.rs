@@ -13,6 +13,7 @@ use super::error::Stage;
 use super::mailbox::MailboxSender;
 use super::packet::Packet;
 use super::stages::{Encode, Model, Shared};
+use super::start::Place;
 use crate::deproject::Validity;
 use crate::frame::{Camera, DepthFrame, FrameTime};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -38,6 +39,7 @@ const ACTS: [Act; 3] = [Act::Cold, Act::Warm, Act::Plain];
 /// The made-up frames of one camera.
 pub(super) struct Rehearsal {
     camera: Camera,
+    start: Option<Place>,
 }
 
 impl Rehearsal {
@@ -46,10 +48,19 @@ impl Rehearsal {
         camera: &Camera,
         model: &mut dyn Model,
         encode: &mut dyn Encode,
+        start: Option<Place>,
     ) -> Option<Self> {
         (model.start_over() && encode.start_over()).then(|| Self {
             camera: camera.clone(),
+            start,
         })
+    }
+
+    /// Waits until the streams that begin together have all rehearsed.
+    pub(super) fn wait_for_all(&mut self, shared: &Shared<'_>) {
+        if let Some(place) = self.start.take() {
+            place.wait(&|| shared.stopping());
+        }
     }
 
     /// Fills `packet` with the frame of an act.

@@ -5,7 +5,8 @@
 //! down after a failure is the same as shutting down after the last frame.
 
 use super::budget::{
-    Budget, Coding, CostModel, Decision, Late, WorkLeft, coding_work, decide, likely_left,
+    Budget, Coding, CostModel, Decision, Late, WorkLeft, coding_work, decide, leaves_much,
+    likely_left, plain_work,
 };
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
@@ -117,13 +118,15 @@ struct Costs {
     model: CostModel,
     /// Per unit of [`coding_work`].
     encode: CostModel,
-    /// Of a plain coding, per pixel.
+    /// Per unit of [`plain_work`].
     plain: CostModel,
     sink: CostModel,
     /// Pixels a whole fit is likely to leave without a sphere.
     left: u64,
-    /// Frames have been modelled.
-    begun: bool,
+    /// The last frame that was to be coded was not hurried.
+    settled: bool,
+    /// Pixels the last frame left without a sphere; a first frame may leave all.
+    last_left: Option<u64>,
 }
 
 impl Costs {
@@ -131,8 +134,17 @@ impl Costs {
     fn coding(&self, pixels: u64, left: u64) -> Coding {
         Coding {
             whole: self.encode.predict_coding(coding_work(pixels, left)),
-            plain: self.plain.predict(pixels),
+            plain: self.plain.predict(plain_work(pixels, left)),
         }
+    }
+
+    /// What the fit of a frame of `pixels` leaves to its coding, where that may be hurried: then
+    /// pixels on no sphere cost no more than the rest.
+    fn kept_for_coding(&self, pixels: u64) -> Duration {
+        let left = self.last_left.unwrap_or(pixels);
+        let plain = self.coding(pixels, left).plain;
+        let whole = self.coding(pixels, 0).whole;
+        Coding { whole, plain }.kept(!self.settled)
     }
 }
 
@@ -309,8 +321,7 @@ impl<'a> Shared<'a> {
         let work = {
             let costs = locked(&self.costs);
             let coding = if self.budget.late == Late::Degrade {
-                // where frames may be hurried, what is left costs no more than the rest
-                costs.coding(pixels, 0).kept(!costs.begun)
+                costs.kept_for_coding(pixels)
             } else {
                 costs.encode.predict(coding_work(pixels, costs.left))
             };
@@ -346,8 +357,8 @@ impl<'a> Shared<'a> {
         };
         let mut costs = locked(&self.costs);
         costs.model.observe(pixels, ns(start, end));
+        costs.last_left = Some(u64::from(report.left()));
         costs.left = likely_left(u64::from(report.points), u64::from(report.left()));
-        costs.begun = true;
         true
     }
 
@@ -376,7 +387,9 @@ impl<'a> Shared<'a> {
         match decide(ns(packet.record.stamp_ns, start), work, self.budget) {
             Decision::Run => {}
             Decision::RunFor(time) => {
-                modelled.hurried = coding.hurries(time, modelled.points, modelled.left());
+                let much = leaves_much(modelled.points, modelled.left());
+                let behind = !locked(&self.costs).settled;
+                modelled.hurried = coding.hurries(time, much, behind);
                 modelled.degraded |= modelled.hurried;
             }
             Decision::GiveUp => {
@@ -385,6 +398,7 @@ impl<'a> Shared<'a> {
                 return false;
             }
         }
+        locked(&self.costs).settled = !modelled.hurried;
         let report = self.guarded(Stage::Encode, packet.depth.sequence, || {
             encode.encode(
                 &packet.depth,
@@ -414,8 +428,14 @@ impl<'a> Shared<'a> {
         let modelled = &packet.record.modelled;
         let mut costs = locked(&self.costs);
         if modelled.hurried {
-            costs.plain.observe(pixels, ns(start, end));
-            costs.encode.fade();
+            let work = plain_work(pixels, u64::from(modelled.left()));
+            costs.plain.observe(work, ns(start, end));
+            if leaves_much(modelled.points, modelled.left()) {
+                costs.encode.fade();
+            } else {
+                // a whole coding is soon tried again: what is feared may have been a moment's
+                costs.encode.relax();
+            }
         } else {
             let work = coding_work(pixels, u64::from(modelled.left()));
             costs.encode.observe(work, ns(start, end));

@@ -41,6 +41,7 @@ fn run_mocks(
         encode,
         sink,
         trace: None,
+        start: None,
     };
     let outcome = run(stages, options, clock, &stop, &mut |_| ());
     let report = &outcome.report;
@@ -292,6 +293,7 @@ fn a_stop_writes_what_is_under_way() {
             encode: &mut MockEncode::default(),
             sink: &mut sink,
             trace: None,
+            start: None,
         };
         let outcome = run(stages, &options(threads), &Monotonic, &stop, &mut |_| ());
         outcome.result.unwrap();
@@ -497,6 +499,7 @@ fn colour_reaches_the_sink_and_its_end_does_not_end_depth() {
             encode: &mut MockEncode::default(),
             sink: &mut sink,
             trace: None,
+            start: None,
         };
         let outcome = run(stages, &options(threads), &Monotonic, &stop, &mut |_| ());
         outcome.result.unwrap();

@@ -74,7 +74,7 @@ fn a_rehearsed_stream_is_the_same_to_the_byte() {
         let without = payloads(&mut source, &mut model, &mut encode);
 
         let (mut model, mut encode) = stages();
-        let rehearsal = Rehearsal::of(&camera, &mut model, &mut encode).unwrap();
+        let rehearsal = Rehearsal::of(&camera, &mut model, &mut encode, None).unwrap();
         let (clock, stop) = (FakeClock::default(), AtomicBool::new(false));
         let shared = Shared::new(&clock, &stop, &options(), None);
         let mut packet = Packet::default();
