@@ -142,7 +142,7 @@ impl Coding {
     #[must_use]
     pub fn kept(&self, behind: bool) -> Duration {
         if behind && !self.plain.is_zero() {
-            self.whole.min(self.plain)
+            self.plain
         } else {
             self.whole
         }

@@ -87,6 +87,7 @@ impl Rehearsal {
 
     /// Sends all acts through the stages' threads and waits until every packet is back. Returns the
     /// packets, their buffers taken; where a stage fails meanwhile, those that came back.
+    #[allow(clippy::vec_box, reason = "packets go round in their boxes")]
     pub(super) fn in_threads(
         &self,
         captured: &MailboxSender<Box<Packet>>,

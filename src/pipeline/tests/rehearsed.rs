@@ -98,7 +98,7 @@ struct Dear<'a> {
 
 const POINTS: u32 = 1000;
 
-impl stages::Model for Dear<'_> {
+impl Model for Dear<'_> {
     fn model(
         &mut self,
         depth: &crate::frame::DepthFrame,
@@ -127,7 +127,7 @@ impl stages::Model for Dear<'_> {
 
 struct DearCoding<'a>(&'a FakeClock);
 
-impl stages::Encode for DearCoding<'_> {
+impl Encode for DearCoding<'_> {
     fn encode(
         &mut self,
         depth: &crate::frame::DepthFrame,
@@ -190,7 +190,7 @@ fn a_rehearsed_stream_keeps_its_budget_from_the_first_frame_on() {
         let report = dear(&needs, true);
         assert_eq!(report.late, 0, "first {first}: {:?}", report.age_ms);
         assert_eq!(report.frames, 30);
-        assert!(report.degraded <= 5, "first {first}: {report:?}");
+        assert!(report.degraded <= 8, "first {first}: {report:?}");
     }
     // nothing known, the first frame is late
     let report = dear(&|n| if n == 0 { 60 } else { 5 }, false);
