@@ -147,6 +147,7 @@ fn run(scene: &str, piece_ns: Piece<'_>, late: Late) -> (Vec<FrameRecord>, Repor
         encode: &mut encode,
         sink: &mut sink,
         trace: None,
+        start: None,
     };
     let stop = AtomicBool::new(false);
     let outcome = pipeline::run(stages, &options, &clock, &stop, &mut |_| ());

@@ -139,6 +139,7 @@ pub fn run(length: Duration) {
         encode: &mut encode_stage(&camera),
         sink: &mut sink,
         trace: None,
+        start: None,
     };
     let options = Options {
         threads: 2,

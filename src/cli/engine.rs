@@ -345,4 +345,15 @@ impl Encode for EncodeStage {
             spent,
         })
     }
+
+    fn start_over(&mut self) -> bool {
+        match &mut self.coding {
+            Coding::Sensor(encoder) => encoder.request_key(),
+            Coding::Polar(_) => return false,
+        }
+        if let Some(rate) = &mut self.rate {
+            rate.start_over();
+        }
+        true
+    }
 }

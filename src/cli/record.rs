@@ -68,6 +68,7 @@ pub fn run(args: &RecordArgs, quiet: bool) -> Result<(), Failure> {
         encode: &mut encode,
         sink: &mut output,
         trace,
+        start: None,
     };
     let outcome = pipeline::run(stages, &options, &Monotonic, &stop, &mut |meter| {
         display.observe(meter, &stop);

@@ -209,6 +209,7 @@ impl<'a> Run<'a> {
             encode: &mut encode,
             sink: &mut output,
             trace,
+            start: None,
         };
         let outcome = pipeline::run(stages, &options, &Monotonic, &stop, &mut |meter| {
             display.observe(meter, &stop);

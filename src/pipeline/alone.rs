@@ -7,10 +7,9 @@
 use super::intake::{Intake, Taken};
 use super::mailbox::{Wait, mailbox};
 use super::packet::Packet;
+use super::rehearsal::Rehearsal;
 use super::stages::{Encode, Model, Shared, Sink};
-use super::{
-    Colors, IDLE, IN_STAGES, Meter, Stage, TICK, bounded, capture_all, join, spawn, waiting,
-};
+use super::{Colors, IDLE, Meter, Stage, TICK, bounded, capture_all, join, spawn, waiting};
 use std::thread::Scope;
 use std::time::{Duration, Instant};
 
@@ -40,10 +39,16 @@ impl Rest<'_> {
 pub(super) fn run_in_one_thread(
     mut intake: Intake<'_>,
     mut rest: Rest<'_>,
+    rehearsal: Option<Rehearsal>,
     shared: &Shared<'_>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
     let mut packet = Packet::default();
+    if let Some(mut rehearsal) = rehearsal {
+        rehearsal.alone(rest.model, rest.encode, &mut packet, shared);
+        rehearsal.wait_for_all(shared);
+        intake.begin(shared.begin());
+    }
     let mut told_ns = shared.clock.now_ns();
     loop {
         match intake.take(&mut packet, shared) {
@@ -66,19 +71,21 @@ pub(super) fn run_beside_capture<'scope, 'env: 'scope>(
     scope: &'scope Scope<'scope, 'env>,
     intake: Intake<'env>,
     mut rest: Rest<'_>,
+    rehearsal: Option<Rehearsal>,
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
     let waiting = waiting(intake.pace());
     let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
-    let packets = IN_STAGES + waiting;
+    // one is filled, one worked on
+    let packets = 2 + waiting;
     let (empty, empties) = bounded::<Box<Packet>>(packets);
     for _ in 0..packets {
         // the channel holds exactly this many
         let _ = empty.send(Box::default());
     }
     let capture = spawn(scope, Stage::Capture, shared, move || {
-        capture_all(intake, &captured_tx, &empties, shared);
+        capture_all(intake, &captured_tx, &empties, rehearsal, shared);
     });
     let (mut told, mut busy) = (Instant::now(), Instant::now());
     loop {

@@ -32,6 +32,11 @@ impl Model for Modeler {
         // the inherent method, not this one
         Ok(Self::model(self, depth, saint, deadline).into())
     }
+
+    fn start_over(&mut self) -> bool {
+        self.reset();
+        true
+    }
 }
 
 impl Model for FrameFit {
@@ -62,5 +67,10 @@ impl Encode for Encoder {
             spent: report.spent(),
             ..CodingReport::default()
         })
+    }
+
+    fn start_over(&mut self) -> bool {
+        self.request_key();
+        true
     }
 }

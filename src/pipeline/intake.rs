@@ -31,6 +31,8 @@ pub(super) struct Intake<'a> {
     /// One thread does all: being late shows here, not in a queue.
     alone: bool,
     started_ns: i64,
+    /// Frames from before `started_ns` may still come, and are thrown away.
+    stale: bool,
     taken: u64,
     first_device_ns: Option<i64>,
     last_device_ns: i64,
@@ -50,12 +52,25 @@ impl<'a> Intake<'a> {
             options,
             alone,
             started_ns: now_ns,
+            stale: false,
             taken: 0,
             first_device_ns: None,
             last_device_ns: 0,
             skipped: 0,
             said: None,
         }
+    }
+
+    /// The stream begins at `now_ns`: what a live camera gave before, while all was made ready, is
+    /// not part of it.
+    pub(super) fn begin(&mut self, now_ns: i64) {
+        self.started_ns = now_ns;
+        self.stale = true;
+    }
+
+    /// As [`Options::model_threads`].
+    pub(super) fn model_threads(&self) -> usize {
+        self.options.model_threads
     }
 
     pub(super) fn pace(&self) -> Pace {
@@ -82,7 +97,7 @@ impl<'a> Intake<'a> {
         {
             return Taken::End;
         }
-        packet.color = None;
+        (packet.color, packet.act) = (None, None);
         let next = shared.guarded(Stage::Capture, self.taken, || {
             Ok(self.source.next(&mut packet.depth))
         });
@@ -101,6 +116,13 @@ impl<'a> Intake<'a> {
             Some(Ok(Next::Frame)) => self.said = None,
         }
         let device_ns = packet.depth.time.device_ns;
+        if self.stale && self.options.pace == Pace::Live {
+            let stamp_ns = live_stamp_ns(device_ns, shared.clock.now_ns());
+            if stamp_ns < self.started_ns {
+                return Taken::Again;
+            }
+            self.stale = false;
+        }
         let first = *self.first_device_ns.get_or_insert(device_ns);
         if duration_ns.is_some_and(|most| device_ns.saturating_sub(first) >= most) {
             return Taken::End;

@@ -13,6 +13,10 @@
 //! counts it. There are as many packets as all stages and queues can hold, so the capture thread
 //! of a live camera never waits for one.
 //!
+//! *Beginning.* Live and `--realtime`, made-up frames take the way of real ones first
+//! ([`rehearsal`]), so that the first real one finds memory taken and costs known. Cameras of a rig
+//! begin together ([`start`]).
+//!
 //! *Shutting down.* A stop flag, a failure or the end of the source ends capture; each stage
 //! empties its queue and drops its sender; threads are joined in the order of the stages. A stage
 //! that failed goes on emptying its queue and counts what it gives up, so the sum of written and
@@ -37,8 +41,10 @@ pub mod mailbox;
 pub mod packet;
 pub mod percentiles;
 pub mod recorder;
+pub mod rehearsal;
 pub mod report;
 pub mod stages;
+pub mod start;
 pub mod statistics;
 mod threads;
 pub mod trace;
@@ -59,8 +65,10 @@ use error::panic_message;
 use intake::{Intake, Taken};
 use mailbox::mailbox;
 use packet::Packet;
+use rehearsal::Rehearsal;
 use report::Report;
 use stages::{Encode, Model, Shared, Sink};
+use start::Place;
 use statistics::DropCause;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{Scope, ScopedJoinHandle};
@@ -74,9 +82,9 @@ const WAITING_TO_KEEP: usize = 64;
 /// Frames that may wait between the later stages of a replay, which evens out their times. Live
 /// they are handed over from stage to stage: a frame that waits there would only grow old.
 const HANDED_OVER: usize = 1;
-/// One packet in each stage and in each later queue; with those that wait, a live source always
-/// finds an empty one.
-const IN_STAGES: usize = 4 + 2 * HANDED_OVER;
+/// One packet in each stage; with those that wait in queues, a live source always finds an empty
+/// one.
+const IN_STAGES: usize = 4;
 /// How often the observer is called.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -133,6 +141,8 @@ pub struct Stages<'a> {
     pub sink: &'a mut dyn Sink,
     /// Timeline file.
     pub trace: Option<Trace>,
+    /// Where streams begin together: this one's place among them.
+    pub start: Option<Place>,
 }
 
 /// How a run ended.
@@ -186,6 +196,7 @@ pub fn run(
         encode,
         sink,
         trace,
+        start,
     } = stages;
     let shared = Shared::new(clock, stop, options, trace);
     let done = AtomicBool::new(false);
@@ -202,6 +213,13 @@ pub fn run(
             done,
         };
         let alone = options.threads <= 1;
+        let rehearsal = match options.pace {
+            Pace::Live | Pace::Realtime => Rehearsal::of(source.camera(), model, encode, start),
+            Pace::Block | Pace::Keep => {
+                drop(start);
+                None
+            }
+        };
         let intake = Intake::new(source, options, alone, clock.now_ns());
         let rest = Rest {
             model,
@@ -210,11 +228,13 @@ pub fn run(
             colors,
         };
         match (alone, options.pace) {
-            (true, Pace::Live) => alone::run_beside_capture(scope, intake, rest, shared, observe),
-            (true, _) => alone::run_in_one_thread(intake, rest, shared, observe),
-            (false, _) => {
-                run_in_threads(scope, intake, rest, options.model_threads, shared, observe);
+            (true, Pace::Live) => {
+                alone::run_beside_capture(scope, intake, rest, rehearsal, shared, observe);
             }
+            (true, _) => {
+                alone::run_in_one_thread(intake, rest, rehearsal, shared, observe);
+            }
+            (false, _) => run_in_threads(scope, intake, rest, rehearsal, shared, observe),
         }
         color.and_then(|thread| join(thread, Stage::Color, shared).flatten())
     });
@@ -240,7 +260,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
     scope: &'scope Scope<'scope, 'env>,
     intake: Intake<'env>,
     rest: Rest<'scope>,
-    model_threads: usize,
+    rehearsal: Option<Rehearsal>,
     shared: &'scope Shared<'env>,
     observe: &mut dyn FnMut(&Meter<'_, '_>),
 ) {
@@ -250,13 +270,14 @@ fn run_in_threads<'scope, 'env: 'scope>(
         sink,
         colors,
     } = rest;
+    let model_threads = intake.model_threads();
     let waiting = waiting(intake.pace());
     let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
     let handed_over = match intake.pace() {
         Pace::Block | Pace::Keep => HANDED_OVER,
         Pace::Realtime | Pace::Live => 0,
     };
-    let packets = IN_STAGES + waiting;
+    let packets = IN_STAGES + 2 * handed_over + waiting;
     let (modelled_tx, modelled) = bounded::<Box<Packet>>(handed_over);
     let (encoded_tx, encoded) = bounded::<Box<Packet>>(handed_over);
     let (empty, empties) = bounded::<Box<Packet>>(packets);
@@ -293,7 +314,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         }
     });
     let capture = spawn(scope, Stage::Capture, shared, move || {
-        capture_all(intake, &captured_tx, &empties, shared);
+        capture_all(intake, &captured_tx, &empties, rehearsal, shared);
     });
 
     while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
@@ -315,21 +336,27 @@ fn capture_all(
     mut intake: Intake<'_>,
     captured: &mailbox::MailboxSender<Box<Packet>>,
     empties: &Receiver<Box<Packet>>,
+    rehearsal: Option<Rehearsal>,
     shared: &Shared<'_>,
 ) {
     let live = intake.drops_oldest();
-    let mut spare: Option<Box<Packet>> = None;
+    let mut spare = Vec::new();
+    if let Some(mut rehearsal) = rehearsal {
+        spare = rehearsal.in_threads(captured, empties, shared);
+        rehearsal.wait_for_all(shared);
+        intake.begin(shared.begin());
+    }
     // no empty packet will ever come where all stages have gone
-    while let Some(mut packet) = spare.take().or_else(|| empties.recv().ok()) {
+    while let Some(mut packet) = spare.pop().or_else(|| empties.recv().ok()) {
         match intake.take(&mut packet, shared) {
             Taken::End => return,
-            Taken::Again => spare = Some(packet),
+            Taken::Again => spare.push(packet),
             Taken::Frame if live => match captured.put_latest(packet) {
                 Ok(evicted) => {
                     if let Some(evicted) = &evicted {
                         shared.dropped(evicted, DropCause::Queue);
                     }
-                    spare = evicted;
+                    spare.extend(evicted);
                 }
                 Err(refused) => return shared.dropped(&refused, DropCause::Failed),
             },

@@ -1,5 +1,6 @@
 //! What travels from stage to stage: one frame with all its buffers, and its record.
 
+use super::rehearsal::Act;
 use crate::codec::{EncodedFrame, Spent};
 use crate::contact_map::labels::SaintFrame;
 use crate::frame::{ColorFrame, DepthFrame};
@@ -125,4 +126,6 @@ pub struct Packet {
     pub encoded: EncodedFrame,
     /// Times and counts.
     pub record: FrameRecord,
+    /// Where the frame is made up for a rehearsal: its part there.
+    pub act: Option<Act>,
 }

@@ -5,7 +5,8 @@
 //! down after a failure is the same as shutting down after the last frame.
 
 use super::budget::{
-    Budget, CostModel, Decision, Late, WorkLeft, coding_work, decide, hurries, likely_left,
+    Budget, Coding, CostModel, Decision, Late, WorkLeft, coding_work, decide, leaves_much,
+    likely_left, plain_work,
 };
 use super::clock::Clock;
 use super::error::{PipelineError, Stage, StageError, panic_message};
@@ -36,6 +37,12 @@ pub trait Model: Send {
         saint: &mut SaintFrame,
         deadline: &dyn Fn() -> bool,
     ) -> Result<ModelReport, StageError>;
+
+    /// Forgets every frame so far: the next one comes out as a new stage's first would, in buffers
+    /// that are there. False where it cannot; it is then not rehearsed (see [`super::rehearsal`]).
+    fn start_over(&mut self) -> bool {
+        false
+    }
 }
 
 /// Writes a modelled frame as bytes.
@@ -52,6 +59,11 @@ pub trait Encode: Send {
         modelled: &ModelReport,
         encoded: &mut EncodedFrame,
     ) -> Result<CodingReport, StageError>;
+
+    /// As [`Model::start_over`].
+    fn start_over(&mut self) -> bool {
+        false
+    }
 }
 
 /// Takes finished frames: a file, a pipe, nothing.
@@ -106,9 +118,34 @@ struct Costs {
     model: CostModel,
     /// Per unit of [`coding_work`].
     encode: CostModel,
+    /// Per unit of [`plain_work`].
+    plain: CostModel,
     sink: CostModel,
     /// Pixels a whole fit is likely to leave without a sphere.
     left: u64,
+    /// The last frame that was to be coded was not hurried.
+    settled: bool,
+    /// Pixels the last frame left without a sphere; a first frame may leave all.
+    last_left: Option<u64>,
+}
+
+impl Costs {
+    /// What coding a frame of `pixels` takes, of which `left` are on no sphere.
+    fn coding(&self, pixels: u64, left: u64) -> Coding {
+        Coding {
+            whole: self.encode.predict_coding(coding_work(pixels, left)),
+            plain: self.plain.predict(plain_work(pixels, left)),
+        }
+    }
+
+    /// What the fit of a frame of `pixels` leaves to its coding, where that may be hurried: then
+    /// pixels on no sphere cost no more than the rest.
+    fn kept_for_coding(&self, pixels: u64) -> Duration {
+        let left = self.last_left.unwrap_or(pixels);
+        let plain = self.coding(pixels, left).plain;
+        let whole = self.coding(pixels, 0).whole;
+        Coding { whole, plain }.kept(!self.settled)
+    }
 }
 
 /// What all stages of one run share.
@@ -208,6 +245,9 @@ impl<'a> Shared<'a> {
 
     /// Counts a frame that was given up.
     pub(super) fn dropped(&self, packet: &Packet, cause: DropCause) {
+        if packet.act.is_some() {
+            return; // the sensor did not make it
+        }
         locked(&self.statistics).dropped(cause);
         let name = match cause {
             DropCause::Queue => "queue",
@@ -270,6 +310,9 @@ impl<'a> Shared<'a> {
             self.dropped(packet, cause);
             return false;
         }
+        if let Some(act) = packet.act {
+            return self.rehearse_model(act, model, packet);
+        }
         let start = self.clock.now_ns();
         if self.age_from_model {
             packet.record.stamp_ns = start;
@@ -277,12 +320,14 @@ impl<'a> Shared<'a> {
         let pixels = packet.depth.depth.len() as u64;
         let work = {
             let costs = locked(&self.costs);
-            // where frames may be hurried, what is left costs no more than the rest
-            let degrades = self.budget.late == Late::Degrade;
-            let left = if degrades { 0 } else { costs.left };
+            let coding = if self.budget.late == Late::Degrade {
+                costs.kept_for_coding(pixels)
+            } else {
+                costs.encode.predict(coding_work(pixels, costs.left))
+            };
             WorkLeft {
                 stage: costs.model.predict(pixels),
-                after: costs.encode.predict(coding_work(pixels, left)) + costs.sink.predict(1),
+                after: coding + costs.sink.predict(1),
             }
         };
         let age = ns(packet.record.stamp_ns, start);
@@ -312,6 +357,7 @@ impl<'a> Shared<'a> {
         };
         let mut costs = locked(&self.costs);
         costs.model.observe(pixels, ns(start, end));
+        costs.last_left = Some(u64::from(report.left()));
         costs.left = likely_left(u64::from(report.points), u64::from(report.left()));
         true
     }
@@ -322,23 +368,28 @@ impl<'a> Shared<'a> {
             self.dropped(packet, cause);
             return false;
         }
+        if let Some(act) = packet.act {
+            return self.rehearse_encode(act, encode, packet);
+        }
         let start = self.clock.now_ns();
         let pixels = packet.depth.depth.len() as u64;
-        let coding = coding_work(pixels, u64::from(packet.record.modelled.left()));
-        let work = {
+        let left = u64::from(packet.record.modelled.left());
+        let (work, coding) = {
             let costs = locked(&self.costs);
-            WorkLeft {
-                stage: costs.encode.predict(coding),
+            let work = WorkLeft {
+                stage: costs.encode.predict(coding_work(pixels, left)),
                 after: costs.sink.predict(1),
-            }
+            };
+            (work, costs.coding(pixels, left))
         };
         // only the drop policy refuses: a payload is never cut short by time
         let modelled = &mut packet.record.modelled;
         match decide(ns(packet.record.stamp_ns, start), work, self.budget) {
             Decision::Run => {}
             Decision::RunFor(time) => {
-                let coding = locked(&self.costs).encode.predict_coding(coding);
-                modelled.hurried = hurries(coding, time, modelled.points, modelled.left());
+                let much = leaves_much(modelled.points, modelled.left());
+                let behind = !locked(&self.costs).settled;
+                modelled.hurried = coding.hurries(time, much, behind);
                 modelled.degraded |= modelled.hurried;
             }
             Decision::GiveUp => {
@@ -347,6 +398,7 @@ impl<'a> Shared<'a> {
                 return false;
             }
         }
+        locked(&self.costs).settled = !modelled.hurried;
         let report = self.guarded(Stage::Encode, packet.depth.sequence, || {
             encode.encode(
                 &packet.depth,
@@ -366,17 +418,42 @@ impl<'a> Shared<'a> {
         };
         packet.record.bytes = packet.encoded.payload.len() as u64;
         packet.record.key = packet.encoded.key;
-        let cost = &mut locked(&self.costs).encode;
-        if packet.record.modelled.hurried {
-            cost.fade();
-        } else {
-            cost.observe(coding, ns(start, end));
-        }
+        self.learn_coding(packet, start, end);
         true
+    }
+
+    /// Learns from a frame that was coded from `start` to `end`, ns.
+    pub(super) fn learn_coding(&self, packet: &Packet, start: i64, end: i64) {
+        let pixels = packet.depth.depth.len() as u64;
+        let modelled = &packet.record.modelled;
+        let mut costs = locked(&self.costs);
+        if modelled.hurried {
+            let work = plain_work(pixels, u64::from(modelled.left()));
+            costs.plain.observe(work, ns(start, end));
+            if leaves_much(modelled.points, modelled.left()) {
+                costs.encode.fade();
+            } else {
+                // a whole coding is soon tried again: what is feared may have been a moment's
+                costs.encode.relax();
+            }
+        } else {
+            let work = coding_work(pixels, u64::from(modelled.left()));
+            costs.encode.observe(work, ns(start, end));
+        }
+    }
+
+    /// The stream begins now.
+    pub(super) fn begin(&self) -> i64 {
+        let now_ns = self.clock.now_ns();
+        locked(&self.statistics).begin(now_ns);
+        now_ns
     }
 
     /// Writes a packet and counts it.
     pub(super) fn sink_step(&self, sink: &mut dyn Sink, packet: &mut Packet) {
+        if packet.act.is_some() {
+            return;
+        }
         if let Some(cause) = self.hopeless(Stage::Sink) {
             self.dropped(packet, cause);
             return;

@@ -250,6 +250,12 @@ impl Statistics {
         }
     }
 
+    /// Rates count from `now_ns` on.
+    pub fn begin(&mut self, now_ns: i64) {
+        self.total.since_ns = now_ns;
+        self.interval.since_ns = now_ns;
+    }
+
     /// The source delivered a frame.
     pub fn delivered(&mut self) {
         self.total.delivered += 1;

@@ -2,6 +2,7 @@
 
 mod balance;
 mod mocks;
+mod rehearsed;
 
 use super::budget::{Budget, Late};
 use super::clock::fake::FakeClock;
@@ -40,6 +41,7 @@ fn run_mocks(
         encode,
         sink,
         trace: None,
+        start: None,
     };
     let outcome = run(stages, options, clock, &stop, &mut |_| ());
     let report = &outcome.report;
@@ -109,7 +111,7 @@ fn back_pressure_bounds_the_frames_under_way() {
     outcome.result.unwrap();
     let most = most.load(Ordering::SeqCst);
     assert!(
-        most <= (IN_STAGES + WAITING) as u64,
+        most <= (IN_STAGES + 2 * HANDED_OVER + WAITING) as u64,
         "{most} frames under way"
     );
     assert_eq!(sink.sequences.len(), 200);
@@ -198,6 +200,7 @@ fn a_panic_reaches_the_caller_from_every_stage() {
             };
             let mut encode = MockEncode {
                 panic_at: at(Stage::Encode),
+                ..MockEncode::default()
             };
             let mut sink = MockSink::default();
             let outcome = run_mocks(
@@ -290,6 +293,7 @@ fn a_stop_writes_what_is_under_way() {
             encode: &mut MockEncode::default(),
             sink: &mut sink,
             trace: None,
+            start: None,
         };
         let outcome = run(stages, &options(threads), &Monotonic, &stop, &mut |_| ());
         outcome.result.unwrap();
@@ -300,7 +304,7 @@ fn a_stop_writes_what_is_under_way() {
             "all taken frames are written"
         );
         assert!(
-            source.at <= 21 + IN_STAGES + WAITING,
+            source.at <= 21 + IN_STAGES + 2 * HANDED_OVER + WAITING,
             "{} frames taken",
             source.at
         );
@@ -495,6 +499,7 @@ fn colour_reaches_the_sink_and_its_end_does_not_end_depth() {
             encode: &mut MockEncode::default(),
             sink: &mut sink,
             trace: None,
+            start: None,
         };
         let outcome = run(stages, &options(threads), &Monotonic, &stop, &mut |_| ());
         outcome.result.unwrap();
@@ -542,7 +547,7 @@ proptest! {
             }) as Work<'_>),
             ..MockModel::default()
         };
-        let mut encode = MockEncode { panic_at: encode_panics };
+        let mut encode = MockEncode { panic_at: encode_panics, ..MockEncode::default() };
         let mut sink = MockSink { fail_at: sink_fails, ..MockSink::default() };
         let options = Options {
             pace,

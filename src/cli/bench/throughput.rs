@@ -108,6 +108,7 @@ fn round(
         encode: &mut encode,
         sink: &mut Nowhere,
         trace: None,
+        start: None,
     };
     let ended = std::thread::scope(|scope| {
         let run = || {

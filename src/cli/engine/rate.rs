@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// The encoder's end.
 pub struct Rate {
+    start: RateControl,
     control: RateControl,
     sent: Arc<Mutex<Option<Decision>>>,
     own: Schedule,
@@ -32,6 +33,11 @@ struct Schedule {
 }
 
 impl Schedule {
+    /// Back to before the first frame.
+    fn start_over(&mut self) {
+        (self.frames, self.next) = (0, None);
+    }
+
     /// Counts a frame; the distance where it changes with it.
     fn step(&mut self) -> Option<ContactDistance> {
         let frame = self.frames;
@@ -53,8 +59,10 @@ pub fn link(bits_per_s: f64, codec: &CodecOptions) -> (Plan, Rate) {
         received: Arc::clone(&shared),
         own: own(),
     };
+    let control = RateControl::new(bits_per_s, codec.keyframe_every);
     let rate = Rate {
-        control: RateControl::new(bits_per_s, codec.keyframe_every),
+        start: control.clone(),
+        control,
         sent: shared,
         own: own(),
     };
@@ -65,6 +73,13 @@ impl Rate {
     /// The distance from the next frame on, where it changes.
     pub fn next(&mut self) -> Option<ContactDistance> {
         self.own.step()
+    }
+
+    /// Forgets all frames. Too few were made up for a rehearsal to decide anything by them, so both
+    /// ends still have the usual distance.
+    pub fn start_over(&mut self) {
+        self.control.clone_from(&self.start);
+        self.own.start_over();
     }
 
     /// Takes the frame that was encoded.
@@ -115,5 +130,11 @@ impl Model for Planned {
             self.modeler.set_contact_distance(&distance);
         }
         Model::model(&mut self.modeler, depth, saint, deadline)
+    }
+
+    fn start_over(&mut self) -> bool {
+        self.plan.own.start_over();
+        self.modeler.reset();
+        true
     }
 }

@@ -5,8 +5,8 @@ use saint_live::deproject::{Rays, Validity};
 use saint_live::frame::{Camera, DepthFrame};
 use saint_live::pipeline::packet::Residual;
 
-/// One pixel in this many, along x and along y, is looked at while live.
-const STRIDE: usize = 4;
+/// About so many pixels of a frame are looked at while live.
+const LOOKED_AT: usize = 5000;
 
 /// A set of errors, millimetres.
 #[derive(Debug, Default)]
@@ -47,6 +47,8 @@ pub struct Sampler {
     rays: Rays,
     validity: Validity,
     unit: f32,
+    /// One pixel in this many is looked at, along x and along y.
+    stride: usize,
     errors: Residuals,
 }
 
@@ -57,11 +59,12 @@ impl Sampler {
             rays: Rays::new(camera),
             validity: Validity::new(camera),
             unit: camera.depth_unit_m as f32,
+            stride: (camera.pixels() / LOOKED_AT).isqrt().max(1),
             errors: Residuals::default(),
         }
     }
 
-    /// Errors of a modelled frame, of one pixel in sixteen. Pixels without a sphere are left out:
+    /// Errors of a modelled frame, of some of its pixels. Pixels without a sphere are left out:
     /// their depth is kept by other means.
     pub fn residual(&mut self, depth: &DepthFrame, saint: &SaintFrame) -> Residual {
         self.errors.clear();
@@ -70,9 +73,9 @@ impl Sampler {
             .depth
             .chunks_exact(width)
             .zip(saint.labels.chunks_exact(width));
-        for (y, (row, labels)) in rows.enumerate().step_by(STRIDE) {
+        for (y, (row, labels)) in rows.enumerate().step_by(self.stride) {
             let v = self.rays.v[y];
-            for x in (0..width).step_by(STRIDE) {
+            for x in (0..width).step_by(self.stride) {
                 let sphere = saint.spheres.get(usize::from(labels[x])).copied().flatten();
                 let Some(sphere) = sphere.filter(|_| self.validity.accepts(row[x])) else {
                     continue;

@@ -13,6 +13,7 @@ use saint_live::pipeline::clock::Monotonic;
 use saint_live::pipeline::color::ColorSource;
 use saint_live::pipeline::recorder::Recorder;
 use saint_live::pipeline::report::Report;
+use saint_live::pipeline::start::{self, Place};
 use saint_live::pipeline::{self, Stages};
 use saint_live::recording::CameraStream;
 use saint_live::rig::{POSE_NOTE, Rig, RigCamera};
@@ -57,18 +58,20 @@ pub(super) fn capture(args: &LiveArgs, quiet: bool) -> Result<(), Failure> {
     let outputs = sink::open_rig(&args.stream, &streams)?;
     let stop = signals::stop_flag()?;
     let board = Board::new(&cameras);
+    let together = start::together(cameras.len());
     let results = thread::scope(|scope| {
         let threads: Vec<_> = cameras
             .into_iter()
             .zip(outputs)
+            .zip(together)
             .enumerate()
-            .map(|(number, (camera, output))| {
+            .map(|(number, ((camera, output), start))| {
                 let (board, stop) = (&board, &*stop);
                 let name = format!("camera-{number}");
                 let work = move || {
                     // with one thread a camera, all of it is computed here
                     let _own = (camera.run.engine.threads == 1).then(Engine::own_worker);
-                    stream(camera, output, number, board, stop)
+                    stream(camera, output, start, number, board, stop)
                 };
                 thread::Builder::new().name(name).spawn_scoped(scope, work)
             })
@@ -139,6 +142,7 @@ fn open<'a>(
 fn stream(
     camera: Opened<'_>,
     mut output: Recorder,
+    start: Place,
     number: usize,
     board: &Board,
     stop: &AtomicBool,
@@ -161,6 +165,7 @@ fn stream(
         encode: &mut encode,
         sink: &mut output,
         trace: None,
+        start: Some(start),
     };
     let options = run.options(&facts, pace, board.names.len());
     let outcome = pipeline::run(stages, &options, &Monotonic, stop, &mut |meter| {

@@ -92,6 +92,7 @@ proptest! {
             encode: &mut MockEncode::default(),
             sink: &mut sink,
             trace: None,
+            start: None,
         };
         let stop = AtomicBool::new(false);
         let outcome = run(stages, &options, &FakeClock::default(), &stop, &mut |_| ());

@@ -125,6 +125,9 @@ pub(super) struct MockModel<'a> {
     pub(super) fail_at: Option<u64>,
     pub(super) panic_at: Option<u64>,
     pub(super) work: Option<Work<'a>>,
+    /// Frames seen before it last started over, where it can.
+    pub(super) rehearsed: Option<u32>,
+    pub(super) seen: u32,
 }
 
 impl Model for MockModel<'_> {
@@ -145,6 +148,7 @@ impl Model for MockModel<'_> {
             Some(work) => work(depth.sequence, deadline),
             None => false,
         };
+        self.seen += 1;
         self.state = self.state.wrapping_mul(31).wrapping_add(depth.depth[0]);
         saint.labels.clear();
         saint.labels.extend([self.state, depth.depth[1]]);
@@ -157,11 +161,21 @@ impl Model for MockModel<'_> {
             degraded,
         })
     }
+
+    fn start_over(&mut self) -> bool {
+        self.state = 0;
+        let seen = std::mem::take(&mut self.seen);
+        self.rehearsed = self.rehearsed.map(|_| seen);
+        self.rehearsed.is_some()
+    }
 }
 
 #[derive(Default)]
 pub(super) struct MockEncode {
     pub(super) panic_at: Option<u64>,
+    /// As the model's.
+    pub(super) rehearsed: Option<u32>,
+    pub(super) seen: u32,
 }
 
 impl Encode for MockEncode {
@@ -176,12 +190,19 @@ impl Encode for MockEncode {
             self.panic_at != Some(depth.sequence),
             "the encoder was told to panic"
         );
+        self.seen += 1;
         encoded.sequence = depth.sequence;
         encoded.payload.clear();
         for label in &saint.labels {
             encoded.payload.extend(label.to_le_bytes());
         }
         Ok(CodingReport::default())
+    }
+
+    fn start_over(&mut self) -> bool {
+        let seen = std::mem::take(&mut self.seen);
+        self.rehearsed = self.rehearsed.map(|_| seen);
+        self.rehearsed.is_some()
     }
 }
 
