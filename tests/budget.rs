@@ -133,7 +133,7 @@ fn run(scene: &str, piece_ns: Piece<'_>, late: Late) -> (Vec<FrameRecord>, Repor
     let mut sink = Keep::default();
     let options = Options {
         threads: 1,
-        model_threads: 1,
+        stage_threads: 1,
         priority: Priority::Usual,
         pace: Pace::Realtime,
         budget: Budget::one_period(Some(FPS), late),

@@ -143,7 +143,7 @@ pub fn run(length: Duration) {
     };
     let options = Options {
         threads: 2,
-        model_threads: 0,
+        stage_threads: 0,
         priority: Priority::Usual,
         pace: Pace::Realtime,
         budget: Budget {

@@ -177,11 +177,11 @@ impl Engine {
         })
     }
 
-    /// Threads the model stage of one of `cameras` works with. Where frames wait for us, encode
-    /// keeps a core busy by itself: on two cores a second worker would only take turns with it.
-    /// Where we wait for frames the core is free while a frame is modelled. The paper's own schemes
-    /// take so long that encode does not count.
-    pub fn model_threads(&self, cameras: usize, frames_wait: bool) -> usize {
+    /// Threads that model and encode of one of `cameras` work with, each. Where frames wait for us,
+    /// each keeps a core busy by itself: on two cores a second worker would only take turns with it.
+    /// Where we wait for frames the other core is free while a frame is modelled or encoded. The
+    /// paper's own schemes take so long that encode does not count.
+    pub fn stage_threads(&self, cameras: usize, frames_wait: bool) -> usize {
         let share = self.threads / cameras.max(1);
         let beside = usize::from(frames_wait && matches!(self.fit, Fit::Live(_)));
         share.saturating_sub(beside).max(1)
@@ -195,7 +195,7 @@ impl Engine {
 
     /// Makes the calling thread the first worker of the process's common pool. Once per process.
     pub fn start_workers(&self) -> Result<(), Failure> {
-        let workers = self.model_threads(1, false);
+        let workers = self.stage_threads(1, false);
         rayon::ThreadPoolBuilder::new()
             .num_threads(workers)
             .thread_name(|n| format!("model-{n}"))

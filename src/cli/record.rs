@@ -53,7 +53,7 @@ pub fn run(args: &RecordArgs, quiet: bool) -> Result<(), Failure> {
     };
     let options = Options {
         threads: 2,
-        model_threads: 0,
+        stage_threads: 0,
         priority: Priority::Usual,
         pace,
         budget: Budget::UNLIMITED,

@@ -144,7 +144,7 @@ impl<'a> Run<'a> {
     fn options(&self, camera: &Camera, pace: Pace, cameras: usize) -> Options {
         Options {
             threads: self.engine.threads,
-            model_threads: self.engine.model_threads(cameras, pace == Pace::Block),
+            stage_threads: self.engine.stage_threads(cameras, pace == Pace::Block),
             priority: if self.stream.realtime_priority {
                 Priority::Realtime
             } else {

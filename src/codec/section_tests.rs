@@ -3,7 +3,7 @@
 use super::choice::{Errors, MISS_COST};
 use super::flow;
 use super::grid::Plane;
-use super::label_map::{AsRead, Choice, LabelMap};
+use super::label_map::{self, AsRead, Choice, LabelMap};
 use super::mask::{self, Fill, Mask, Past, QUADS, quad_pixels};
 use super::palette_choice;
 use super::range_coder::{self, Coder, Decoder, Encoder};
@@ -209,15 +209,19 @@ proptest! {
             let mut bytes = Vec::new();
             let mut coder = Encoder::new(&mut bytes);
             let known = (!fast).then_some(&mask);
+            let mut hits = vec![u64::MAX; rays.blocks()];
+            label_map::write_alone(&rays, &mut there, &surfaces, &mut drawn, &script, &mut hits);
             state::code_labels(
                 &mut coder, &mut written, &rays, &reach, known, &mut there, past, &surfaces,
-                &mut drawn, &mut script,
+                &mut drawn, &mut script, &mut hits,
             );
             coder.finish();
             let mut coder = Decoder::new(&bytes);
+            let mut none = vec![0; rays.blocks()];
+            label_map::write_alone(&rays, &mut here, &surfaces, &mut rebuilt, &AsRead, &mut none);
             state::code_labels(
                 &mut coder, &mut read, &rays, &reach, known, &mut here, past, &surfaces,
-                &mut rebuilt, &mut AsRead,
+                &mut rebuilt, &mut AsRead, &mut none,
             );
             prop_assert!(!coder.overran());
             prop_assert_eq!(here.pixels.cells(), there.pixels.cells());
@@ -234,7 +238,7 @@ proptest! {
                     prop_assert_eq!(rebuilt.cells()[i].to_bits(), depth.to_bits());
                     prop_assert_eq!(drawn.cells()[i].to_bits(), depth.to_bits());
                 }
-                let given = script.given[k] & wanted[k];
+                let given = hits[k] & wanted[k];
                 prop_assert_eq!(given, if there.sizes[k] == 0 { 0 } else { wanted[k] });
             }
             before = Some(here);
@@ -358,8 +362,6 @@ proptest! {
 struct Script {
     /// Palette entry of each pixel of each block.
     wanted: Vec<[u8; BLOCK * BLOCK]>,
-    /// Pixels that got the entry they should.
-    given: Vec<u64>,
     block: usize,
     divide: bool,
 }
@@ -383,14 +385,23 @@ impl Script {
         };
         Self {
             wanted: map.sizes.iter().map(draw).collect(),
-            given: vec![0; map.sizes.len()],
             block: 0,
             divide: false,
         }
     }
+
+    /// Those of these pixels that get the entry they should.
+    fn as_wanted(&self, k: usize, pixels: u64, entry: usize) -> u64 {
+        let right = |bit: usize| u64::from(usize::from(self.wanted[k][bit]) == entry) << bit;
+        pixels & (0..BLOCK * BLOCK).map(right).fold(0, |all, one| all | one)
+    }
 }
 
 impl Choice for Script {
+    fn alone(&self, k: usize, _: &Depths) -> u64 {
+        self.as_wanted(k, u64::MAX, 0)
+    }
+
     fn block(&mut self, k: usize, _: &[u16], _: &[Depths; PALETTE]) {
         self.block = k;
     }
@@ -409,10 +420,8 @@ impl Choice for Script {
         usize::from(self.wanted[self.block][bit as usize])
     }
 
-    fn given(&mut self, k: usize, pixels: u64, entry: usize) {
-        for bit in (0..BLOCK * BLOCK).filter(|bit| pixels >> bit & 1 != 0) {
-            self.given[k] |= u64::from(usize::from(self.wanted[k][bit]) == entry) << bit;
-        }
+    fn given(&mut self, k: usize, pixels: u64, entry: usize) -> u64 {
+        self.as_wanted(k, pixels, entry)
     }
 }
 

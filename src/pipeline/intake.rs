@@ -14,6 +14,9 @@ const NAP: Duration = Duration::from_millis(50);
 /// A single thread that is late never skips more frames in a row than this.
 const MOST_SKIPPED: u32 = 30;
 
+/// A recording whose reading is so far behind its clock never catches up: it goes on from now.
+const MOST_BEHIND_NS: i64 = 500_000_000;
+
 /// What came of asking for a frame.
 pub(super) enum Taken {
     /// The packet holds a frame.
@@ -38,6 +41,8 @@ pub(super) struct Intake<'a> {
     last_device_ns: i64,
     skipped: u32,
     said: Option<String>,
+    /// Reading fell behind the recording's clock.
+    slow: bool,
 }
 
 impl<'a> Intake<'a> {
@@ -58,6 +63,7 @@ impl<'a> Intake<'a> {
             last_device_ns: 0,
             skipped: 0,
             said: None,
+            slow: false,
         }
     }
 
@@ -68,9 +74,9 @@ impl<'a> Intake<'a> {
         self.stale = true;
     }
 
-    /// As [`Options::model_threads`].
-    pub(super) fn model_threads(&self) -> usize {
-        self.options.model_threads
+    /// As [`Options::stage_threads`].
+    pub(super) fn stage_threads(&self) -> usize {
+        self.options.stage_threads
     }
 
     pub(super) fn pace(&self) -> Pace {
@@ -147,9 +153,18 @@ impl<'a> Intake<'a> {
             Pace::Block => {}
             Pace::Live | Pace::Keep => packet.record.stamp_ns = live_stamp_ns(device_ns, arrival),
             Pace::Realtime => {
-                let due = self
+                let mut due = self
                     .started_ns
                     .saturating_add(device_ns.saturating_sub(first));
+                let behind = arrival.saturating_sub(due);
+                if !self.alone && behind > MOST_BEHIND_NS {
+                    self.started_ns = self.started_ns.saturating_add(behind);
+                    due = arrival;
+                    if !self.slow {
+                        tracing::warn!("frames are read slower than they were recorded");
+                    }
+                    self.slow = true;
+                }
                 self.wait_until(due, shared);
                 packet.record.stamp_ns = due;
                 packet.record.capture.end_ns = shared.clock.now_ns();

@@ -112,9 +112,9 @@ pub struct Options {
     /// 1 runs every stage in the caller's thread (but capture of a live camera), more gives each
     /// stage its own.
     pub threads: usize,
-    /// Threads the model stage works with where it has a thread of its own, that one included; 0
-    /// leaves its work to the process's common pool.
-    pub model_threads: usize,
+    /// Threads that model and encode work with, each, where they have a thread of their own, that one
+    /// included; 0 leaves their work to the process's common pool.
+    pub stage_threads: usize,
     /// Priority to ask for; with one thread none is.
     pub priority: Priority,
     /// How frames are taken.
@@ -270,7 +270,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         sink,
         colors,
     } = rest;
-    let model_threads = intake.model_threads();
+    let stage_threads = intake.stage_threads();
     let waiting = waiting(intake.pace());
     let (captured_tx, captured) = mailbox::<Box<Packet>>(waiting);
     let handed_over = match intake.pace() {
@@ -293,6 +293,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         drop(ended);
     });
     let encode = spawn(scope, Stage::Encode, shared, move || {
+        let _workers = threads::workers(stage_threads);
         for mut packet in modelled {
             let next = if shared.encode_step(encode, &mut packet) {
                 &encoded_tx
@@ -303,7 +304,7 @@ fn run_in_threads<'scope, 'env: 'scope>(
         }
     });
     let model = spawn(scope, Stage::Model, shared, move || {
-        let _workers = threads::workers(model_threads);
+        let _workers = threads::workers(stage_threads);
         while let Some(mut packet) = captured.take() {
             let next = if shared.model_step(model, &mut packet) {
                 &modelled_tx

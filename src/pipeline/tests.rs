@@ -15,7 +15,7 @@ use std::sync::atomic::AtomicU64;
 fn options(threads: usize) -> Options {
     Options {
         threads,
-        model_threads: 0,
+        stage_threads: 0,
         priority: Priority::Usual,
         pace: Pace::Block,
         budget: Budget::UNLIMITED,
@@ -381,6 +381,31 @@ impl Clock for Sleepy {
     fn sleep(&self, time: Duration) {
         self.0.sleep(time + Duration::from_micros(300));
     }
+}
+
+#[test]
+fn a_recording_that_is_read_too_slowly_falls_back_and_its_frames_do_not_age() {
+    // each frame takes three of its periods to be read
+    let clock = FakeClock::default();
+    let mut source = MockSource::frames(600);
+    source.before = Box::new(|_| clock.sleep(Duration::from_millis(30)));
+    let options = Options {
+        pace: Pace::Realtime,
+        ..options(2)
+    };
+    let outcome = run_mocks(
+        &mut source,
+        &mut MockModel::default(),
+        &mut MockEncode::default(),
+        &mut MockSink::default(),
+        &options,
+        &clock,
+    );
+    let report = &outcome.report;
+    assert_eq!(report.frames + report.drops.queue, 600);
+    // without falling back the last would be 12 s old
+    assert!(report.age_ms.max < 700.0, "{:?}", report.age_ms);
+    assert!(clock.now_ns() >= 600 * 30_000_000);
 }
 
 #[test]

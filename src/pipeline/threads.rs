@@ -2,7 +2,7 @@
 //!
 //! *Workers.* The model stage's own thread is the first worker of its pool: the fit is not handed
 //! to other threads and back at each pass, and with one worker it runs as it does alone. How many
-//! are worth while is for the caller to say ([`super::Options::model_threads`]).
+//! are worth while is for the caller to say ([`super::Options::stage_threads`]).
 //!
 //! *Priority.* Where it is asked for, the stages ask for the round-robin real-time class, all at the
 //! same priority: the channels between them spin for moments and give way to their equals only, so

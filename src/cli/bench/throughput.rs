@@ -94,7 +94,7 @@ fn round(
     };
     let options = Options {
         threads: engine.threads,
-        model_threads: engine.model_threads(1, true),
+        stage_threads: engine.stage_threads(1, true),
         priority: Priority::Usual,
         pace: Pace::Block,
         budget: Budget::UNLIMITED,

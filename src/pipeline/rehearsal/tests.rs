@@ -16,7 +16,7 @@ use std::sync::atomic::AtomicBool;
 fn options() -> Options {
     Options {
         threads: 1,
-        model_threads: 1,
+        stage_threads: 1,
         priority: Priority::Usual,
         pace: Pace::Live,
         budget: Budget::UNLIMITED,
