@@ -93,20 +93,18 @@ pub struct BlockRow<'a, T> {
 }
 
 impl<T: Copy> BlockRow<'_, T> {
-    /// Writes `value` to all pixels of the block that starts at column `x`.
+    /// Writes the pixels of blocks side by side, the first of which starts at column `x`: a row of all
+    /// of them at a time, since a cache line holds the rows of several blocks.
     #[inline(always)]
-    pub fn fill_block(&mut self, x: usize, value: T) {
-        for row in self.cells.chunks_exact_mut(self.stride) {
-            row[SIDE + x..][..BLOCK].fill(value);
-        }
-    }
-
-    /// Writes the pixels of the block that starts at column `x`, row by row.
-    #[inline(always)]
-    pub fn write_block(&mut self, x: usize, values: &[T; BLOCK * BLOCK]) {
+    pub fn write_blocks(&mut self, x: usize, blocks: &[[T; BLOCK * BLOCK]]) {
         let rows = self.cells.chunks_exact_mut(self.stride);
-        for (row, values) in rows.zip(values.chunks_exact(BLOCK)) {
-            row[SIDE + x..][..BLOCK].copy_from_slice(values);
+        for (j, row) in rows.enumerate() {
+            let row = row[SIDE + x..][..BLOCK * blocks.len()].as_chunks_mut().0;
+            for (row, block) in row.iter_mut().zip(blocks) {
+                if let Some(values) = block[j * BLOCK..].first_chunk::<BLOCK>() {
+                    *row = *values;
+                }
+            }
         }
     }
 }
