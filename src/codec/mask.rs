@@ -255,16 +255,12 @@ pub fn code_quads<C: Coder>(
         fills,
         quads,
     } = mask;
+    write_fills(rays, fills, pixels);
     for k in 0..blocks {
-        let (x0, y0, w, h) = extent(rays, k);
+        let (x0, y0, ..) = extent(rays, k);
         let fill = fills[k];
         if fill != Fill::Mixed {
             quads[k] = [fill; QUADS];
-            // cells beyond the image stay 0
-            for j in 0..h {
-                let start = pixels.index(x0, y0 + j);
-                pixels.cells_mut()[start..start + w].fill(u8::from(fill == Fill::Full));
-            }
             continue;
         }
         let (all, on) = (inside(rays, k), wanted.get(k).copied().unwrap_or(0));
@@ -306,12 +302,33 @@ pub fn code_quads<C: Coder>(
             let (full, empty) = (&mut models.full[context], &mut models.empty[context]);
             let fill = code_fill(coder, full, empty, Fill::of(on, here));
             quads[k][q] = fill;
-            let (x0, y0) = (x0 + QUAD * right, y0 + QUAD * low);
-            let w = QUAD.min(rays.width - x0);
-            for j in 0..QUAD.min(rays.height - y0) {
-                let start = pixels.index(x0, y0 + j);
-                pixels.cells_mut()[start..start + w].fill(u8::from(fill == Fill::Full));
+            if fill == Fill::Full {
+                let (x0, y0) = (x0 + QUAD * right, y0 + QUAD * low);
+                let w = QUAD.min(rays.width - x0);
+                for j in 0..QUAD.min(rays.height - y0) {
+                    let start = pixels.index(x0, y0 + j);
+                    pixels.cells_mut()[start..start + w].fill(1);
+                }
             }
+        }
+    }
+}
+
+/// Writes the pixels of full blocks as measured, all others as not. Cells beyond the image stay 0.
+fn write_fills(rays: &Rays, fills: &[Fill], pixels: &mut Plane<u8>) {
+    for (by, fills) in fills.chunks(rays.block_columns).enumerate() {
+        let y0 = by * BLOCK;
+        let first = pixels.index(0, y0);
+        let row = &mut pixels.cells_mut()[first..first + rays.stride()];
+        for (cells, fill) in row.as_chunks_mut::<BLOCK>().0.iter_mut().zip(fills) {
+            *cells = [u8::from(*fill == Fill::Full); BLOCK];
+        }
+        row[rays.width..].fill(0);
+        for y in y0 + 1..(y0 + BLOCK).min(rays.height) {
+            let start = pixels.index(0, y);
+            pixels
+                .cells_mut()
+                .copy_within(first..first + rays.width, start);
         }
     }
 }
