@@ -39,6 +39,10 @@ pub(super) struct Intake<'a> {
     taken: u64,
     first_device_ns: Option<i64>,
     last_device_ns: i64,
+    /// Between the last two frames.
+    period_ns: i64,
+    /// What reading the last frame took.
+    reading_ns: i64,
     skipped: u32,
     said: Option<String>,
     /// Reading fell behind the recording's clock.
@@ -61,6 +65,8 @@ impl<'a> Intake<'a> {
             taken: 0,
             first_device_ns: None,
             last_device_ns: 0,
+            period_ns: 0,
+            reading_ns: 0,
             skipped: 0,
             said: None,
             slow: false,
@@ -93,6 +99,7 @@ impl<'a> Intake<'a> {
         if shared.stopping() || self.options.frames.is_some_and(|most| self.taken >= most) {
             return Taken::End;
         }
+        self.wait_to_read(shared);
         let start = shared.clock.now_ns();
         let duration_ns = self
             .options
@@ -148,7 +155,8 @@ impl<'a> Intake<'a> {
         self.taken += 1;
         locked(&shared.statistics).delivered();
         let period = device_ns.saturating_sub(self.last_device_ns);
-        self.last_device_ns = device_ns;
+        (self.last_device_ns, self.period_ns) = (device_ns, period);
+        self.reading_ns = arrival.saturating_sub(start);
         match self.options.pace {
             Pace::Block => {}
             Pace::Live | Pace::Keep => packet.record.stamp_ns = live_stamp_ns(device_ns, arrival),
@@ -183,6 +191,20 @@ impl<'a> Intake<'a> {
             packet.record.stamp_ns = self.started_ns;
         }
         Taken::Frame
+    }
+
+    /// A paced recording's next frame is read in the second half of the time until it is due, or as
+    /// early as reading takes: in the first half the frame before has the cores to itself.
+    fn wait_to_read(&self, shared: &Shared<'_>) {
+        if self.options.pace != Pace::Realtime || self.alone || self.taken < 2 {
+            return;
+        }
+        let first = self.first_device_ns.unwrap_or(self.last_device_ns);
+        let since = self.last_device_ns.saturating_sub(first);
+        let due = self.started_ns.saturating_add(since);
+        let due = due.saturating_add(self.period_ns);
+        let lead = (self.period_ns / 2).max(self.reading_ns.saturating_mul(2));
+        self.wait_until(due.saturating_sub(lead), shared);
     }
 
     fn wait_until(&self, due_ns: i64, shared: &Shared<'_>) {

@@ -72,6 +72,8 @@ impl<T> MailboxSender<T> {
             None
         };
         state.items.push_back(item);
+        // who is woken finds the lock free
+        drop(state);
         self.0.changed.notify_all();
         Ok(evicted)
     }
@@ -89,6 +91,7 @@ impl<T> MailboxSender<T> {
             return Err(item);
         }
         state.items.push_back(item);
+        drop(state);
         self.0.changed.notify_all();
         Ok(())
     }

@@ -354,6 +354,8 @@ fn capture_all(
             Taken::Again => spare.push(packet),
             Taken::Frame if live => match captured.put_latest(packet) {
                 Ok(evicted) => {
+                    // the scheduler may have woken the model on this core: it goes first
+                    std::thread::yield_now();
                     if let Some(evicted) = &evicted {
                         shared.dropped(evicted, DropCause::Queue);
                     }
