@@ -7,7 +7,7 @@ Needs `pip install imagecodecs numpy` and the program: `target/release/saint-liv
 
 Each folder goes through the program first (`replay --lossless`, `export --to png16`), so that the
 peers code the measurements the program codes, 0 elsewhere. One thread each. A ratio is the peer's
-number over that of our lossless stream in the steady state (`bench --lossless --threads 1`); times
+number over that of our lossless stream in the steady state (`bench --lossless --effort usual --threads 1`); times
 are medians over frames, each run once, ours like theirs. Draco (`draco_encoder`, Debian: `apt-get
 install draco`; left out where it is not) codes the points, 14 bits a coordinate over their extent,
 not without loss; its times are those of its commands, with their start and their files.
@@ -92,7 +92,12 @@ def compare(folder):
     print(f"\n{folder} ({width}x{height}), {len(frames)} frames, one thread")
     print(f"{'':<32} {'encode ms':>9} {'decode ms':>9} {'bits/valid px':>13}   ratios: size  encode  decode")
     ours = None
-    for name, flags in (("live, lossless", ["--lossless"]), ("live, default tolerance (lossy)", [])):
+    usual = ["--effort", "usual"]
+    for name, flags in (
+        ("usual effort, lossless", ["--lossless", *usual]),
+        ("live, lossless", ["--lossless"]),
+        ("live, default tolerance (lossy)", []),
+    ):
         told = json.loads(program("bench", folder, "--frames", FRAMES, "--threads", 1, "--json", "-q", *flags))
         row = (told["warm_ms"]["p50"], told["decode_ms"]["p50"], told["bits_per_valid_px"])
         ours = ours or row

@@ -94,7 +94,7 @@ def ours(folder, frames):
             flags = [*flags, "--depth-max", f"{frames.options.depth_max}m", "--to", len(frames.files)]
             run = lambda *a: subprocess.run([PROGRAM, *map(str, a)], check=True, capture_output=True, text=True).stdout
             flags += ["--smooth-mask"] * (frames.options.smooth_mask and "--smooth-mask" not in flags)
-            run("replay", folder, "-o", scratch / "x.mcap", "-q", *flags)
+            run("replay", folder, "-o", scratch / "x.mcap", "-q", "--effort", "usual", *flags)
             info = json.loads(run("info", scratch / "x.mcap", "--json"))
             run("export", scratch / "x.mcap", "--to", "exr", "-o", scratch / "exr", "-q")
             files = sorted((scratch / "exr").glob("*.exr"))[:: frames.every]
