@@ -39,7 +39,7 @@ pub(super) struct Intake<'a> {
     taken: u64,
     first_device_ns: Option<i64>,
     last_device_ns: i64,
-    /// Between the last two frames.
+    /// Least time between two frames so far, 0 before there were two.
     period_ns: i64,
     /// What reading the last frame took.
     reading_ns: i64,
@@ -155,7 +155,11 @@ impl<'a> Intake<'a> {
         self.taken += 1;
         locked(&shared.statistics).delivered();
         let period = device_ns.saturating_sub(self.last_device_ns);
-        (self.last_device_ns, self.period_ns) = (device_ns, period);
+        // a pause says nothing of when the frame behind it is due
+        if self.taken > 1 && period > 0 && (self.period_ns == 0 || period < self.period_ns) {
+            self.period_ns = period;
+        }
+        self.last_device_ns = device_ns;
         self.reading_ns = arrival.saturating_sub(start);
         match self.options.pace {
             Pace::Block => {}
@@ -196,7 +200,7 @@ impl<'a> Intake<'a> {
     /// A paced recording's next frame is read in the second half of the time until it is due, or as
     /// early as reading takes: in the first half the frame before has the cores to itself.
     fn wait_to_read(&self, shared: &Shared<'_>) {
-        if self.options.pace != Pace::Realtime || self.alone || self.taken < 2 {
+        if self.options.pace != Pace::Realtime || self.alone || self.period_ns == 0 {
             return;
         }
         let first = self.first_device_ns.unwrap_or(self.last_device_ns);

@@ -111,3 +111,43 @@ fn realtime_does_not_drift() {
         outcome.report.age_ms
     );
 }
+
+#[test]
+fn the_frames_behind_a_pause_are_in_time() {
+    // a second without frames, which is no reason to wait half a second for the next one
+    let clock = FakeClock::default();
+    let (written_tx, written) = bounded::<()>(1);
+    let mut script = vec![Event::Frame; 5];
+    script.push(Event::Gap(100));
+    script.extend([Event::Frame; 10]);
+    let mut source = MockSource::new(script);
+    source.before = Box::new(|n| {
+        if n > 0 {
+            written.recv().unwrap();
+        }
+    });
+    let mut sink = MockSink {
+        after: Some(Box::new(move |_| written_tx.send(()).unwrap())),
+        ..MockSink::default()
+    };
+    let options = Options {
+        pace: Pace::Realtime,
+        ..options(2)
+    };
+    let outcome = run_mocks(
+        &mut source,
+        &mut MockModel::default(),
+        &mut MockEncode::default(),
+        &mut sink,
+        &options,
+        &clock,
+    );
+    assert_eq!(outcome.report.frames, 15);
+    assert!(clock.now_ns() >= 1_000_000_000);
+    // capture sleeps for the next frame while this one is on its way
+    assert!(
+        outcome.report.age_ms.max < 50.0,
+        "{:?}",
+        outcome.report.age_ms
+    );
+}
