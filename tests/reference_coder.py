@@ -77,6 +77,13 @@ class Range:
             self.renormalise()
         return value
 
+    def uniform(self, total):
+        self.range //= total
+        value = min(self.code // self.range, total - 1)
+        self.code -= self.range * value
+        self.renormalise()
+        return value
+
     def end(self):
         if self.at > len(self.data) + 8:
             raise Refused("a section ends early")

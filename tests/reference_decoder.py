@@ -22,7 +22,7 @@ from reference_geometry import F32, F64, Bins, Chart, Entry, clamp, five, invers
 from reference_geometry import shift_of
 
 NO_SPHERE, INVALID = 65534, 65535
-KEY, LOSSLESS, DEGRADED, MOVED, PLAIN, FAST = 1, 2, 4, 8, 16, 32
+KEY, LOSSLESS, DEGRADED, MOVED, PLAIN, FAST = 1, 2, 4, 8, 16, 64
 EMPTY, FULL, MIXED = 0, 1, 2
 SMOOTH, SPARSE, DENSE = 0, 1, 2
 ENDS = [1, 2, 3, 5, 7, 11, 15, 23, 31, 47, 63, 95, 127, 191]
@@ -33,6 +33,7 @@ class Models:
 
     def __init__(self):
         self.full, self.empty = bits(36), bits(36)
+        self.alone = [bits(8) for _ in range(16)]
         self.more = [bits(16) for _ in range(3)]
         self.candidate = [[bits(8) for _ in range(2)] for _ in range(8)]
         self.none, self.new = bits(2), bits(2)
@@ -47,7 +48,7 @@ class Models:
         self.label, self.label_weights = [Contexts() for _ in range(3)], Weights()
         (self.listed,) = bits(1)
         self.active, self.dense, self.miss = bits(9), bits(27), bits(81)
-        self.count, self.gap = Integer(), Integer()
+        self.count, self.gap, self.misses = Integer(), Integer(), Integer()
         self.fine, self.bin_far = bits(14), Integer()
         self.bins, self.bin_weights = [Contexts() for _ in range(3)], Weights()
 
@@ -301,10 +302,16 @@ class Frame:
             c |= (north is not None and len(now.palettes[north]) > 1) << 1
             c |= (past is not None and len(past.palettes[k]) > 1) << 2
             c |= (now.fills[k] == MIXED) << 3
+            left = self.candidates(k)
+            first = left[0] if self.fast and left else None
+            if first and coder.bit(models.alone[c][first[1]]):
+                now.palettes[k] = [first[0]]
+                continue
             n = 1
             while n < 4 and coder.bit(models.more[n - 1][c]):
                 n += 1
-            left = self.candidates(k)
+            if first and n == 1:
+                del left[0]
             palette = []
             for entry in range(n):
                 palette.append(self.read_entry(coder, min(entry, 1), left))
@@ -539,7 +546,7 @@ class Frame:
         if self.past:
             past = int(len(set(self.in_past(self.past.labels, k, x, y, 4, 4))) > 1)
         here = np.s_[y % 8 : y % 8 + 4, x % 8 : x % 8 + 4]
-        front, close = (int(plane[here].sum()) for plane in sides[0])
+        front, close = (0, 0) if self.fast else (int(plane[here].sum()) for plane in sides[0])
         near = {0: 0, 16: 2}.get(close, 1)
         return (((agree * 3 + past) * 2 + (0 < front < 16)) * 3 + near) * 3 + len(palette) - 2
 
@@ -630,17 +637,43 @@ class Frame:
         self.integers.inner[:] = np.where(now.mask.inner != 0, self.whole, 0)
         self.traces = {}
         last = 0
-        for x, y, block in self.raster([kind != SMOOTH for kind in now.kinds]):
-            if not now.mask.at(x, y):
-                continue
+        for x, y, block in self.read_places(coder) if self.fast else self.raster_places(coder):
             sphere = now.labels.at(x, y) != NO_SPHERE
             dense = now.kinds[block] == DENSE
-            if sphere and not dense and not self.misses(coder, x, y):
-                continue
             last = self.read_bin(coder, bins.at(x, y), x, y, last, sphere, dense)
             self.integers.set(x, y, last)
             self.rebuilt[y, x] = True
         self.whole = self.integers.inner
+
+    def raster_places(self, coder):
+        """Pixels that come back from bins, (x, y, block), in raster order."""
+        now = self.now
+        for x, y, block in self.raster([kind != SMOOTH for kind in now.kinds]):
+            if not now.mask.at(x, y):
+                continue
+            sphere = now.labels.at(x, y) != NO_SPHERE
+            if not sphere or now.kinds[block] == DENSE or self.misses(coder, x, y):
+                yield x, y, block
+
+    def read_places(self, coder):
+        """The same of a fast frame, block by block."""
+        s, now = self.stream, self.now
+        for block, kind in enumerate(now.kinds):
+            if kind == SMOOTH:
+                continue
+            x0, y0 = self.quad(block, 0)
+            square = ((x0 + i, y0 + j) for j in range(8) for i in range(8))
+            left = [(x, y) for x, y in square if x < s.width and y < s.height and now.mask.at(x, y)]
+            if kind == SPARSE:
+                known = [place for place in left if now.labels.at(*place) != NO_SPHERE]
+                left = set(left) - set(known)
+                for still in range(min(self.models.misses.read(coder), len(known)), 0, -1):
+                    skipped = coder.uniform(len(known) - still + 1)
+                    left.add(known[skipped])
+                    known = known[skipped + 1 :]
+                left = sorted(left, key=lambda place: place[::-1])
+            for x, y in left:
+                yield x, y, block
 
     def read_plain_residual(self, section):
         s, now = self.stream, self.now
@@ -697,6 +730,11 @@ class Frame:
     def trace(self, x, y):
         return self.traces.get((x, y), (0, 0, False))
 
+    def north_east(self, x, y):
+        """The place of NE; fast, none, which reads as unmeasured, where it lies in a later block."""
+        later = self.fast and x % 8 == 7 and y % 8 > 0
+        return (-3, -3) if later else (x + 1, y - 1)
+
     def misses(self, coder, x, y):
         c = 0
         for dx, dy in [(-1, 0), (0, -1), (1, -1), (-1, -1)]:
@@ -710,11 +748,12 @@ class Frame:
         r = self.integers.at
         w = r(x - 1, y) or r(x, y - 1) or last
         n = r(x, y - 1) or w
-        places = w, n, r(x - 1, y - 1) or n, r(x + 1, y - 1) or n, r(x - 2, y) or w, r(x, y - 2) or n
+        places = w, n, r(x - 1, y - 1) or n, r(*self.north_east(x, y)) or n, r(x - 2, y) or w, r(x, y - 2) or n
         w, n, nw, ne, ww, nn = map(table.bin, places)
         low, high = min(w, n), max(w, n)
         median = low if nw >= high else high if nw <= low else w + n - nw
-        around = [self.trace(x + dx, y + dy) for dx, dy in [(-1, 0), (0, -1), (-1, -1), (1, -1)]]
+        around = [self.trace(x + dx, y + dy) for dx, dy in [(-1, 0), (0, -1), (-1, -1)]]
+        around.append(self.trace(*self.north_east(x, y)))
         d = self.depth[y, x]
         sphere = sphere and 0 < d < 65536
         part, shifted, guess = 0, median, median

@@ -5,10 +5,10 @@
 //! wider than the bound, and always without loss, a bin is one integer. Neighbouring pixels mostly
 //! share a bin or are one apart, whatever the depth: that is what the residual section codes.
 
-use super::grid::Plane;
+use super::mask::extent;
 use super::range_coder::{Coder, Integer};
 use crate::contact_map::contact::Reach;
-use crate::deproject::Rays;
+use crate::deproject::{BLOCK, Rays};
 
 /// Bins narrow towards the corners of the image, where rays are slanted, in so many classes.
 const CLASSES: usize = 8;
@@ -30,8 +30,8 @@ pub struct Bins {
     listed: bool,
     /// Scratch: the integers of one frame.
     seen: Vec<bool>,
-    /// Class of each pixel.
-    classes: Plane<u8>,
+    /// Class of each pixel, block by block.
+    classes: Vec<[u8; BLOCK * BLOCK]>,
     tables: Vec<Table>,
     fresh: bool,
 }
@@ -39,12 +39,25 @@ pub struct Bins {
 /// Bins of one class of pixels.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
-    /// Bin of each integer.
-    of: Vec<u16>,
+    /// Bins of the integers.
+    runs: Vec<Run>,
     /// Depth integer of each bin.
     centers: Vec<u16>,
     /// Four by the way to the next bin.
     quarters: Vec<f32>,
+}
+
+/// Integers of a run, whose bins stand in one place: eight times less to look up than a list of them all,
+/// and all tables stay in the nearer caches.
+const RUN: usize = 32;
+
+/// Bins of [`RUN`] integers side by side.
+#[derive(Clone, Copy, Debug, Default)]
+struct Run {
+    /// Bit n: the n-th integer's bin is the one after the integer's before it.
+    begins: u32,
+    /// Bin of the integer before the first.
+    before: u16,
 }
 
 impl Table {
@@ -52,7 +65,9 @@ impl Table {
     #[inline(always)]
     #[must_use]
     pub fn of(&self, integer: u16) -> i32 {
-        i32::from(self.of[usize::from(integer)])
+        let run = self.runs[usize::from(integer) / RUN];
+        let upto = u32::MAX >> (RUN - 1 - usize::from(integer) % RUN);
+        i32::from(run.before) + (run.begins & upto).count_ones() as i32
     }
 
     /// Depth integer of the bin nearest to `bin`.
@@ -82,10 +97,11 @@ impl Table {
     /// Greedy from the smallest integer: a bin grows while its ends lie within `half` of its
     /// centre.
     fn fill(&mut self, present: impl Fn(usize) -> bool, half: impl Fn(usize) -> usize) {
-        self.of.clear();
-        self.of.resize(INTEGERS, 0);
+        self.runs.clear();
+        self.runs.resize(INTEGERS / RUN, Run::default());
         self.centers.clear();
         let (mut first, mut last, mut widest) = (0, 0, 0);
+        let mut before = 0u16;
         for integer in 1..INTEGERS {
             if present(integer) {
                 if first == 0 || integer - first > widest {
@@ -98,7 +114,13 @@ impl Table {
                 last = integer;
             }
             // the first bin takes what lies below it
-            self.of[integer] = self.centers.len() as u16;
+            let bin = self.centers.len() as u16;
+            let run = &mut self.runs[integer / RUN];
+            if integer.is_multiple_of(RUN) {
+                run.before = before;
+            }
+            run.begins |= u32::from(bin != before) << (integer % RUN);
+            before = bin;
         }
         // an empty list, which only damaged bytes have, is one bin
         self.centers.push(((first + last) / 2).max(1) as u16);
@@ -118,26 +140,24 @@ impl Bins {
         }
         self.present.resize(INTEGERS, false);
         self.seen.resize(INTEGERS, false);
-        self.classes.cover(rays, 0);
         let most = steepest(rays);
-        for y in 0..rays.height {
-            for x in 0..rays.width {
-                let q = rays.u[x] * rays.u[x] + rays.v[y] * rays.v[y] + 1.0;
+        let edges: Vec<f64> = (1..CLASSES).map(|class| edge(most, class)).collect();
+        self.classes.extend((0..rays.blocks()).map(|k| {
+            let (x0, y0, ..) = extent(rays, k);
+            std::array::from_fn(|bit| {
+                let (u, v) = (rays.u[x0 + bit % BLOCK], rays.v[y0 + bit / BLOCK]);
                 // classes by squared length: no root to agree on
-                let class = (1..CLASSES)
-                    .filter(|&c| f64::from(q) >= edge(most, c))
-                    .count();
-                let i = self.classes.index(x, y);
-                self.classes.cells_mut()[i] = class as u8;
-            }
-        }
+                let q = f64::from(u * u + v * v + 1.0);
+                edges.iter().filter(|edge| q >= **edge).count() as u8
+            })
+        }));
     }
 
-    /// The bins of pixel `i` of a plane.
+    /// The bins of a pixel (bit `8·row + column`) of block `k`.
     #[inline(always)]
     #[must_use]
-    pub fn at(&self, i: usize) -> &Table {
-        &self.tables[usize::from(self.classes.cells()[i])]
+    pub fn of(&self, k: usize, bit: usize) -> &Table {
+        &self.tables[usize::from(self.classes[k][bit])]
     }
 
     /// A key frame begins: the integers are listed anew, or every integer has its place.

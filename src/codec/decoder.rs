@@ -1,6 +1,7 @@
 //! Payloads to depth frames, spheres and contact maps.
 
 use super::CodecError;
+use super::cells;
 use super::header::{self, Header, Stream};
 use super::label_map::AsRead;
 use super::mask::{self, Fill};
@@ -8,7 +9,7 @@ use super::range_coder::Decoder as RangeDecoder;
 use super::residual::Kind;
 use super::sphere_table::{self, Support};
 use super::state::State;
-use super::surface::{self, BEYOND, Surfaces, to_integer};
+use super::surface::{self, BEYOND, Depths, Surface, Surfaces, packed, to_integer};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
 use crate::deproject::{BLOCK, Rays};
@@ -16,6 +17,7 @@ use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, FrameTime};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A decoded frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -353,17 +355,16 @@ fn write_coarse(frame: &mut DecodedFrame, state: &State, rays: &Rays, level: Lev
             surfaces.depths(rays, k, now.map.palettes[k][0], &mut depths);
         }
         let (x0, y0, w, h) = mask::extent(rays, k);
+        let (whole, on) = if level == Level::Blocks {
+            (Some(now.map.palettes[k][0]), u64::MAX)
+        } else {
+            now.depths(rays, k, &state.tiles, &mut depths);
+            (None, now.mask.block(rays, k))
+        };
         for j in 0..h {
-            let start = now.mask.pixels.index(x0, y0 + j);
-            for i in 0..w {
-                let (depth, label) = if level == Level::Blocks {
-                    (depths[j * BLOCK + i], now.map.palettes[k][0])
-                } else if now.mask.pixels.cells()[start + i] != 0 {
-                    let label = now.map.pixels.cells()[start + i];
-                    (state.predicted.cells()[start + i], label)
-                } else {
-                    continue;
-                };
+            for i in (0..w).filter(|i| on >> (BLOCK * j + i) & 1 != 0) {
+                let bit = BLOCK * j + i;
+                let (depth, label) = (depths[bit], whole.unwrap_or(now.map.label(k, bit)));
                 if label != NO_SPHERE && depth > 0.0 && depth < BEYOND {
                     let at = (y0 + j) * rays.width + x0 + i;
                     frame.depth_m[at] = depth * rays.unit;
@@ -420,81 +421,201 @@ fn write_block_row(
     stream: &Stream,
     reach: &Reach,
 ) {
-    let (now, predicted) = (&state.now, &state.predicted);
-    let width = rays.width;
     let single = stream.depth_unit_m as f32;
-    let rows = depth_m
-        .chunks_exact_mut(width)
-        .zip(labels.chunks_exact_mut(width));
-    for (y, (depth_m, labels)) in (by * BLOCK..).zip(rows) {
-        let start = now.mask.pixels.index(0, y);
-        let on = &now.mask.pixels.cells()[start..start + width];
-        let label = &now.map.pixels.cells()[start..start + width];
-        let own = &predicted.cells()[start..start + width];
-        // as if every pixel's sphere gave its depth; one kind of work at a time, for lanes
-        let mut odd = 0u32;
-        for ((z, &on), &own) in depth_m.iter_mut().zip(on).zip(own) {
-            let stands = u32::from(own > 0.0) & u32::from(own < BEYOND);
-            let on = u32::from(on);
-            odd |= on & !stands;
-            *z = f32::from_bits((own * single).to_bits() & on.wrapping_neg());
+    let lossless = stream.tolerance.lossless;
+    let mut block = Pixels {
+        depths: surface::NOTHING,
+        labels: [INVALID; BLOCK * BLOCK],
+    };
+    let surfaces = Surfaces(&state.now.entries);
+    let mut next = 0;
+    for bx in 0..rays.block_columns {
+        if bx < next {
+            continue;
         }
-        for ((id, &on), &label) in labels.iter_mut().zip(on).zip(label) {
-            // `INVALID` is all ones
-            *id = label | u16::from(on).wrapping_sub(1);
+        let k = by * rays.block_columns + bx;
+        let id = state.now.map.palettes[k][0];
+        let run = if lossless {
+            0
+        } else {
+            full_run(state, rays, k)
+        };
+        if let (1.., Some(sphere)) = (run, surfaces.surface(rays, id)) {
+            let columns = bx * BLOCK..(bx + run) * BLOCK;
+            if write_run((depth_m, labels), rays, by, columns, &sphere, (id, single)) {
+                next = bx + run;
+                continue;
+            }
         }
-        if odd != 0 || stream.tolerance.lossless {
-            rebuild_odd((depth_m, labels), y, state, rays, stream, reach);
+        let on = state.now.mask.block(rays, k);
+        let odd = block.look_up(state, rays, (bx, by), on, single);
+        let again = if lossless { on } else { odd };
+        if again != 0 {
+            block.rebuild(state, rays, k, again, stream, reach);
+        }
+        let (x0, _, w, h) = mask::extent(rays, k);
+        let rows = depth_m
+            .chunks_exact_mut(rays.width)
+            .zip(labels.chunks_exact_mut(rays.width));
+        let own = block.depths.as_chunks::<BLOCK>().0.iter();
+        let own = own.zip(block.labels.as_chunks::<BLOCK>().0);
+        for ((depth_m, labels), (depths, ids)) in rows.zip(own).take(h) {
+            let (depth_m, labels) = (&mut depth_m[x0..x0 + w], &mut labels[x0..x0 + w]);
+            // of a size known beforehand, but at the edge
+            match (depth_m.first_chunk_mut(), labels.first_chunk_mut()) {
+                (Some(depth_m), Some(labels)) => (*depth_m, *labels) = (*depths, *ids),
+                _ => {
+                    depth_m.copy_from_slice(&depths[..w]);
+                    labels.copy_from_slice(&ids[..w]);
+                }
+            }
         }
     }
 }
 
-/// Row `y` again, for the pixels that their sphere does not give back.
+/// Blocks from `k` on, side by side, that are full, of the same one sphere and given back by it.
 #[inline(always)]
-fn rebuild_odd(
+fn full_run(state: &State, rays: &Rays, k: usize) -> usize {
+    let now = &state.now;
+    let id = now.map.palettes[k][0];
+    let whole = rays.width / BLOCK;
+    let most = whole.saturating_sub(k % rays.block_columns);
+    let alike = |&k: &usize| {
+        now.mask.fills[k] == Fill::Full
+            && now.kinds[k] == Kind::Smooth
+            && now.map.sizes[k] == 1
+            && now.map.palettes[k][0] == id
+    };
+    (k..k + most).take_while(alike).count()
+}
+
+/// Writes such `columns`; false where the sphere does not give a depth to each of them after all.
+#[inline(always)]
+fn write_run(
     (depth_m, labels): (&mut [f32], &mut [u16]),
-    y: usize,
-    state: &State,
     rays: &Rays,
-    stream: &Stream,
-    reach: &Reach,
-) {
-    let State {
-        now,
-        predicted,
-        rebuilt,
-        ..
-    } = state;
-    let (unit, lossless) = (stream.depth_unit_m, stream.tolerance.lossless);
-    let v = rays.v[y];
-    let start = now.mask.pixels.index(0, y);
-    for (x0, depth_m) in (0..rays.width)
-        .step_by(BLOCK)
-        .zip(depth_m.chunks_mut(BLOCK))
-    {
-        let smooth = now.kinds[y / BLOCK * rays.block_columns + x0 / BLOCK] == Kind::Smooth;
-        for (x, z) in (x0..).zip(depth_m) {
-            let i = start + x;
-            let own = predicted.cells()[i];
-            if now.mask.pixels.cells()[i] == 0 || !lossless && own > 0.0 && own < BEYOND {
-                continue;
+    by: usize,
+    columns: Range<usize>,
+    sphere: &Surface,
+    (id, single): (u16, f32),
+) -> bool {
+    let rows = depth_m.chunks_exact_mut(rays.width);
+    let rows = rows.zip(labels.chunks_exact_mut(rays.width));
+    let mut odd = 0u32;
+    for ((depth_m, labels), &v) in rows.zip(&rays.v[by * BLOCK..]) {
+        labels[columns.clone()].fill(id);
+        for (z, &u) in depth_m[columns.clone()]
+            .iter_mut()
+            .zip(&rays.u[columns.clone()])
+        {
+            let depth = sphere.depth(u, v);
+            odd |= u32::from(!surface::is_real(depth));
+            *z = depth * single;
+        }
+    }
+    odd == 0
+}
+
+/// The cells of block `k`, where some of its pixels may come back from bins.
+#[inline(always)]
+fn rough_tile(state: &State, k: usize) -> Option<&cells::Tile> {
+    let rough = state.now.kinds[k] != Kind::Smooth;
+    rough.then(|| state.cells.tile(k)).flatten()
+}
+
+/// The pixels of a block of the public frame.
+struct Pixels {
+    /// Metres; 0 where there is no measurement.
+    depths: Depths,
+    labels: [u16; BLOCK * BLOCK],
+}
+
+impl Pixels {
+    /// As if every pixel's sphere gave its depth; returns those of `on` where that is not so. `single`:
+    /// metres of a depth integer.
+    #[inline(always)]
+    fn look_up(
+        &mut self,
+        state: &State,
+        rays: &Rays,
+        (bx, by): (usize, usize),
+        on: u64,
+        single: f32,
+    ) -> u64 {
+        let (now, k) = (&state.now, by * rays.block_columns + bx);
+        if on == 0 {
+            (self.depths, self.labels) = (surface::NOTHING, [INVALID; BLOCK * BLOCK]);
+            return 0;
+        }
+        let Self { depths, labels } = self;
+        now.depths(rays, k, &state.tiles, depths);
+        let mut coded = [0u8; BLOCK * BLOCK];
+        if let Some(tile) = rough_tile(state, k) {
+            for (coded, cell) in coded.iter_mut().zip(tile) {
+                *coded = u8::from(cell.is_coded());
             }
-            let whole = if smooth {
-                to_integer(own)
-            } else {
-                rebuilt.cells()[i]
+        }
+        *labels = match now.map.tile(k) {
+            Some(tile) => *tile,
+            None => [now.map.palettes[k][0]; BLOCK * BLOCK],
+        };
+        let mut odd = [0u8; BLOCK * BLOCK];
+        let rows = depths.as_chunks_mut::<BLOCK>().0.iter_mut();
+        let rows = rows.zip(labels.as_chunks_mut::<BLOCK>().0);
+        let rows = rows.zip(odd.as_chunks_mut::<BLOCK>().0);
+        for (((depths, labels), odd), bits) in rows.zip(on.to_le_bytes()) {
+            let (mut z, mut ids) = (*depths, *labels);
+            for i in 0..BLOCK {
+                let on = u32::from(bits) >> i & 1;
+                odd[i] = u8::from(!surface::is_real(z[i]));
+                z[i] = f32::from_bits((z[i] * single).to_bits() & on.wrapping_neg());
+                // `INVALID` is all ones
+                ids[i] |= (on as u16).wrapping_sub(1);
+            }
+            (*depths, *labels) = (z, ids);
+        }
+        (packed(&odd) | packed(&coded)) & on
+    }
+
+    /// These pixels of block `k` again, by their integers.
+    #[inline(always)]
+    fn rebuild(
+        &mut self,
+        state: &State,
+        rays: &Rays,
+        k: usize,
+        mut pixels: u64,
+        stream: &Stream,
+        reach: &Reach,
+    ) {
+        let now = &state.now;
+        let (unit, lossless) = (stream.depth_unit_m, stream.tolerance.lossless);
+        let (x0, y0, ..) = mask::extent(rays, k);
+        let tile = rough_tile(state, k);
+        let mut depths = surface::NOTHING;
+        now.depths(rays, k, &state.tiles, &mut depths);
+        while pixels != 0 {
+            let bit = pixels.trailing_zeros() as usize;
+            pixels &= pixels - 1;
+            let (x, y) = (x0 + bit % BLOCK, y0 + bit / BLOCK);
+            let (whole, own) = match tile.map(|tile| tile[bit]) {
+                None => (to_integer(depths[bit]), depths[bit]),
+                Some(cell) if cell.is_coded() && !surface::is_real(depths[bit]) => {
+                    (cell.integer, 0.0)
+                }
+                Some(cell) => (cell.integer, depths[bit]),
             };
             // 0 would mean that nothing was measured
             let integer = whole.max(1);
-            *z = if lossless {
+            self.depths[bit] = if lossless {
                 (f64::from(integer) * unit) as f32
             } else {
                 f32::from(integer) * unit as f32
             };
-            let u = rays.u[x];
+            let (u, v) = (rays.u[x], rays.v[y]);
             let q = u * u + v * v + 1.0;
             if !reach.touches(f32::from(integer), own.abs(), q) {
-                labels[x] = NO_SPHERE;
+                self.labels[bit] = NO_SPHERE;
             }
         }
     }

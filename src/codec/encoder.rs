@@ -9,7 +9,7 @@ use super::residual::Kind;
 use super::spent::EncodeReport;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
-use super::surface::{self, to_integer};
+use super::surface::{self, Surfaces, to_integer};
 use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
@@ -199,12 +199,8 @@ impl Encoder {
         let (mut depths, mut prices) = (surface::NOTHING, [0u16; BLOCK * BLOCK]);
         let mut sum = 0u64;
         for (k, &hits) in self.state.hits.iter().enumerate().filter(|h| *h.1 != 0) {
-            let (x0, y0, ..) = mask::extent(&self.rays, k);
-            let predicted = &self.state.predicted;
-            for (j, row) in depths.chunks_exact_mut(BLOCK).enumerate() {
-                let start = predicted.index(x0, y0 + j);
-                row.copy_from_slice(&predicted.cells()[start..start + BLOCK]);
-            }
+            let State { now, tiles, .. } = &self.state;
+            now.depths(&self.rays, k, tiles, &mut depths);
             errors.prices(&self.rays, k, &depths, &mut prices);
             let hit = |i: usize| u64::from(prices[i]) * (hits >> i & 1);
             sum += (0..BLOCK * BLOCK).map(hit).sum::<u64>();
@@ -415,6 +411,8 @@ impl Encoder {
         let pixels = (&self.measured[..], &self.invented[..]);
         let mut choice = Cheapest::new(&self.rays, errors, pixels);
         let (rays, reach) = (&self.rays, &self.reach);
+        let State { now, hits, .. } = &mut self.state;
+        choice.touch_alone(&now.map, &Surfaces(&now.entries), hits);
         if !fast {
             self.state
                 .code_labels(&mut of_mask, rays, reach, key, &mut choice);
@@ -521,24 +519,18 @@ impl Encoder {
 
     /// Lossless, a hit is a pixel whose sphere gives the integer itself.
     fn keep_exact_hits(&mut self) {
-        let rays = &self.rays;
+        let (rays, stride) = (&self.rays, self.rays.stride());
         let State {
-            predicted, hits, ..
+            now, tiles, hits, ..
         } = &mut self.state;
-        let stride = rays.stride();
-        for (k, hits) in hits.iter_mut().enumerate() {
-            let (x0, y0) = (
-                k % rays.block_columns * BLOCK,
-                k / rays.block_columns * BLOCK,
-            );
-            for j in 0..BLOCK {
-                let start = predicted.index(x0, y0 + j);
-                let row = &predicted.cells()[start..start + BLOCK];
+        let mut depths = surface::NOTHING;
+        for (k, hits) in hits.iter_mut().enumerate().filter(|h| *h.1 != 0) {
+            now.depths(rays, k, tiles, &mut depths);
+            let (x0, y0, ..) = mask::extent(rays, k);
+            for (j, row) in depths.chunks_exact(BLOCK).enumerate() {
                 let raw = &self.plane[(y0 + j) * stride + x0..][..BLOCK];
-                for i in 0..BLOCK {
-                    if to_integer(row[i]) != raw[i] {
-                        *hits &= !(1 << (8 * j + i));
-                    }
+                for (i, (&depth, &raw)) in row.iter().zip(raw).enumerate() {
+                    *hits &= !(u64::from(to_integer(depth) != raw) << (BLOCK * j + i));
                 }
             }
         }

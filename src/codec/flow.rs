@@ -8,17 +8,53 @@ use super::sphere_table::Entry;
 use crate::deproject::{BLOCK, Rays};
 use crate::fit::motion::Motion;
 
-/// Shift of each block, in cells of a plane of this stride; all zero where the camera stands still.
+/// Where a block was in the last frame, relative to where it is, in pixels. It was inside the image,
+/// padded to whole blocks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Shift {
+    /// To the right.
+    pub x: i32,
+    /// Down.
+    pub y: i32,
+}
+
+/// A picture of the last frame, looked at where each block was then.
+pub struct Past<'a, P> {
+    /// The picture.
+    pub picture: &'a P,
+    /// One for each block.
+    pub shifts: &'a [Shift],
+}
+
+impl<P> Clone for Past<'_, P> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<P> Copy for Past<'_, P> {}
+
+impl<P> Past<'_, P> {
+    /// Where pixel (x, y) of block `k` was.
+    #[inline(always)]
+    #[must_use]
+    pub fn at(&self, k: usize, (x, y): (usize, usize)) -> (usize, usize) {
+        let shift = self.shifts[k];
+        let moved = |at: usize, by: i32| at.wrapping_add_signed(by as isize);
+        (moved(x, shift.x), moved(y, shift.y))
+    }
+}
+
+/// Shift of each block; all zero where the camera stands still.
 pub(super) fn shifts(
     rays: &Rays,
     map: &LabelMap,
     entries: &[Option<Entry>],
     motion: &Motion,
-    stride: usize,
-    out: &mut Vec<isize>,
+    out: &mut Vec<Shift>,
 ) {
     out.clear();
-    out.resize(rays.blocks(), 0);
+    out.resize(rays.blocks(), Shift::default());
     if motion.is_still() {
         return;
     }
@@ -44,10 +80,11 @@ pub(super) fn shifts(
             let by = by + 0.5;
             let whole = by as isize;
             let by = whole - isize::from(by < whole as f64);
-            by.clamp(-(start as isize), (size - BLOCK - start) as isize)
+            by.clamp(-(start as isize), (size - BLOCK - start) as isize) as i32
         };
-        let sx = shift((p[0] / p[2] - u) / du, x0, rays.block_columns * BLOCK);
-        let sy = shift((p[1] / p[2] - v) / dv, y0, rays.block_rows * BLOCK);
-        *out = sy * stride as isize + sx;
+        *out = Shift {
+            x: shift((p[0] / p[2] - u) / du, x0, rays.block_columns * BLOCK),
+            y: shift((p[1] / p[2] - v) / dv, y0, rays.block_rows * BLOCK),
+        };
     }
 }

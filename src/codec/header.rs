@@ -21,7 +21,8 @@ const LOSSLESS: u8 = 2;
 const DEGRADED: u8 = 4;
 const MOVED: u8 = 8;
 const PLAIN: u8 = 16;
-const FAST: u8 = 32;
+/// 32 was an earlier form of it.
+const FAST: u8 = 64;
 
 /// How well a measurement must come back.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,8 +5,8 @@
 //! neighbours, the last frame, and the spheres themselves, which are known by now: where two of
 //! them cross, the map changes from one to the other.
 
-use super::grid::{BlockRow, Plane};
-use super::mask::{self, Mask, Past, QUAD, QUADS, extent, quad_pixels};
+use super::flow::Past;
+use super::mask::{self, Mask, QUAD, QUADS, extent, quad_pixels};
 use super::mixer::{CONTEXTS, Mixer, Mixture, Place};
 use super::range_coder::{self, Bit, Coder};
 use super::surface::{self, Depths, Surfaces};
@@ -14,7 +14,6 @@ use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
-use rayon::prelude::*;
 
 /// Contexts of a pixel's label, each for any palette entry but the last.
 const CELLS: [usize; CONTEXTS] = [243, 324, 243];
@@ -58,26 +57,158 @@ pub struct LabelMap {
     pub palettes: Vec<Palette>,
     /// Entries in each palette; 0 for an empty block.
     pub sizes: Vec<u8>,
-    /// Label of each measured pixel. Pixels without a measurement hold a label, too: that of their
-    /// quad, or the one to their left.
-    pub pixels: Plane<u16>,
+    /// Of the blocks of several spheres, in order: the labels of their pixels, row by row. Those
+    /// without a measurement hold a label, too: that of their quad, or the one to their left. The
+    /// pixels of other blocks are not written down: they all have the block's one.
+    pub tiles: Vec<[u16; BLOCK * BLOCK]>,
+    /// Place of each block's tile, for blocks of several spheres.
+    tile: Vec<u32>,
 }
 
 impl LabelMap {
-    /// An empty map over `rays` whose pixels are still to be written.
+    /// A map over `rays` without any palette.
     pub fn reset(&mut self, rays: &Rays) {
         self.palettes.clear();
         self.palettes.resize(rays.blocks(), EMPTY);
         self.sizes.clear();
         self.sizes.resize(rays.blocks(), 0);
-        self.pixels.cover(rays, NO_SPHERE);
+        self.tile.resize(rays.blocks(), 0);
+        self.tiles.clear();
+        // room for the worst frame: it does not grow while a stream runs
+        self.tiles.reserve(rays.blocks());
+    }
+
+    /// Place of block `k` among the blocks of several spheres, if it is one.
+    #[inline(always)]
+    #[must_use]
+    pub fn place(&self, k: usize) -> Option<usize> {
+        (self.sizes[k] > 1).then(|| self.tile[k] as usize)
+    }
+
+    /// The labels of the pixels of block `k`, where they are not all its first palette entry.
+    #[inline(always)]
+    #[must_use]
+    pub fn tile(&self, k: usize) -> Option<&[u16; BLOCK * BLOCK]> {
+        self.tiles.get(self.place(k)?)
+    }
+
+    /// The label of a pixel (bit `8·row + column`) of block `k`.
+    #[inline(always)]
+    #[must_use]
+    pub fn label(&self, k: usize, bit: usize) -> u16 {
+        self.tile(k).map_or(self.palettes[k][0], |tile| tile[bit])
+    }
+
+    /// The pixels of block `k` that have a sphere.
+    #[inline(always)]
+    #[must_use]
+    pub fn with_sphere(&self, k: usize) -> u64 {
+        let Some(tile) = self.tile(k) else {
+            return u64::from(self.palettes[k][0] != NO_SPHERE).wrapping_neg();
+        };
+        let mut cells = [0u8; BLOCK * BLOCK];
+        for (cell, label) in cells.iter_mut().zip(tile) {
+            *cell = u8::from(*label != NO_SPHERE);
+        }
+        surface::packed(&cells)
+    }
+
+    pub(super) fn write_tile(&mut self, k: usize, tile: [u16; BLOCK * BLOCK]) {
+        self.tile[k] = self.tiles.len() as u32;
+        self.tiles.push(tile);
+    }
+
+    /// The labels right above block `k` and to its left, as far as they are decoded; its own are yet
+    /// to come.
+    #[inline(always)]
+    pub(super) fn around(&self, rays: &Rays, k: usize) -> Window {
+        let columns = rays.block_columns;
+        let (west, north) = (!k.is_multiple_of(columns), k >= columns);
+        let east = !(k + 1).is_multiple_of(columns);
+        let mut window = Window([NO_SPHERE; WINDOW]);
+        let labels = &mut window.0;
+        if north {
+            let above = k - columns;
+            let row = &mut labels[1..=BLOCK];
+            match self.tile(above) {
+                None => row.fill(self.palettes[above][0]),
+                Some(tile) => row.copy_from_slice(&tile[BLOCK * (BLOCK - 1)..]),
+            }
+            if west {
+                labels[0] = self.label(above - 1, BLOCK * BLOCK - 1);
+            }
+            if east {
+                labels[BLOCK + 1] = self.label(above + 1, BLOCK * (BLOCK - 1));
+            }
+        }
+        if west {
+            for j in 0..BLOCK {
+                labels[Window::at(0, j) - 1] = self.label(k - 1, BLOCK * j + BLOCK - 1);
+            }
+        }
+        window
+    }
+
+    /// The labels from pixel (x, y) on, a row and a column more than a block's.
+    #[inline(always)]
+    pub(super) fn past(&self, rays: &Rays, (x, y): (usize, usize)) -> Window {
+        let mut window = Window([NO_SPHERE; WINDOW]);
+        let (columns, rows) = (rays.block_columns, rays.block_rows);
+        let (right, low) = (x % BLOCK, y % BLOCK);
+        for (by, from, to) in [(y / BLOCK, low, BLOCK), (y / BLOCK + 1, 0, low + 1)] {
+            for (bx, left, end) in [(x / BLOCK, right, BLOCK), (x / BLOCK + 1, 0, right + 1)] {
+                if bx >= columns || by >= rows {
+                    continue;
+                }
+                let k = by * columns + bx;
+                let (i, j) = (bx * BLOCK + left - x, by * BLOCK + from - y);
+                let tile = self.tile(k);
+                for n in 0..to - from {
+                    let at = Window::at(i, j + n);
+                    let row = &mut window.0[at..at + end - left];
+                    match tile {
+                        None => row.fill(self.palettes[k][0]),
+                        Some(tile) => {
+                            let start = (from + n) * BLOCK + left;
+                            row.copy_from_slice(&tile[start..start + end - left]);
+                        }
+                    }
+                }
+            }
+        }
+        window
+    }
+}
+
+/// Cells from one row of a window to the next, and of a window.
+const STEP: usize = 16;
+const WINDOW: usize = STEP * (BLOCK + 2);
+
+/// Labels in and around a block.
+pub(super) struct Window(pub [u16; WINDOW]);
+
+impl Window {
+    /// Cell of the pixel in column `i`, row `j` of the block.
+    #[inline(always)]
+    pub const fn at(i: usize, j: usize) -> usize {
+        (j + 1) * STEP + i + 1
+    }
+
+    /// Palette entry of each label, `PALETTE` for one of another block.
+    #[inline(always)]
+    fn ranks(&self, palette: &[u16]) -> [u8; WINDOW] {
+        let mut ranks = [PALETTE as u8; WINDOW];
+        for (e, id) in palette.iter().enumerate().rev() {
+            for (rank, label) in ranks.iter_mut().zip(&self.0) {
+                *rank = if label == id { e as u8 } else { *rank };
+            }
+        }
+        ranks
     }
 }
 
 /// The encoder's choice of labels. Costs are in 1/16 bit; the decoder is asked nothing.
 pub trait Choice: Sync {
-    /// A block of one sphere at these depths: its pixels that touch it.
-    fn alone(&self, k: usize, depths: &Depths) -> u64;
     /// A block of several spheres at these depths comes next.
     fn block(&mut self, k: usize, palette: &[u16], depths: &[Depths; PALETTE]);
     /// The palette entry for all `pixels` of a quad, or `None` to divide it. `costs`: of each entry;
@@ -94,10 +225,6 @@ pub struct AsRead;
 
 impl Choice for AsRead {
     #[inline(always)]
-    fn alone(&self, _: usize, _: &Depths) -> u64 {
-        0
-    }
-    #[inline(always)]
     fn block(&mut self, _: usize, _: &[u16], _: &[Depths; PALETTE]) {}
     #[inline(always)]
     fn quad(&mut self, _: u64, _: &[u32], _: u32) -> Option<usize> {
@@ -113,78 +240,10 @@ impl Choice for AsRead {
     }
 }
 
-/// Labels and predicted depths of the blocks that have one sphere or none: nothing of them is coded.
-/// `touching` gets the pixels of each that touch their sphere, as `choice` says.
-#[allow(clippy::too_many_arguments)] // one section's whole state
-pub(super) fn write_alone<W: Choice>(
-    rays: &Rays,
-    map: &mut LabelMap,
-    surfaces: &Surfaces<'_>,
-    predicted: &mut Plane<f32>,
-    choice: &W,
-    touching: &mut [u64],
-) {
-    let LabelMap {
-        palettes,
-        sizes,
-        pixels,
-    } = map;
-    let columns = rays.block_columns;
-    let blocks = palettes.par_chunks(columns).zip(sizes.par_chunks(columns));
-    let rows = pixels.block_rows().zip(predicted.block_rows());
-    rows.zip(blocks)
-        .zip(touching.par_chunks_mut(columns))
-        .enumerate()
-        .for_each(|(by, (((labels, depths), (palettes, sizes)), touching))| {
-            let planes = (labels, depths);
-            write_row_alone(
-                rays,
-                by,
-                (palettes, sizes),
-                surfaces,
-                choice,
-                planes,
-                touching,
-            );
-        });
-}
-
-/// Blocks that are written together.
-const STRIP: usize = 4;
-
-#[allow(unsafe_code)] // run-time dispatch generated by the macro
-#[multiversion::multiversion(targets("x86_64+avx2+bmi1+popcnt"))]
-fn write_row_alone<W: Choice>(
-    rays: &Rays,
-    by: usize,
-    (palettes, sizes): (&[Palette], &[u8]),
-    surfaces: &Surfaces<'_>,
-    choice: &W,
-    (mut labels, mut predicted): (BlockRow<'_, u16>, BlockRow<'_, f32>),
-    touching: &mut [u64],
-) {
-    let (mut ids, mut depths) = ([[0u16; BLOCK * BLOCK]; STRIP], [surface::NOTHING; STRIP]);
-    let strips = palettes.chunks(STRIP).zip(sizes.chunks(STRIP));
-    for (n, ((palettes, sizes), touching)) in strips.zip(touching.chunks_mut(STRIP)).enumerate() {
-        let bx = n * STRIP;
-        for (e, (palette, &size)) in palettes.iter().zip(sizes).enumerate() {
-            // an empty block's palette is all NO_SPHERE; blocks of several spheres are written later
-            ids[e] = [palette[0]; BLOCK * BLOCK];
-            touching[e] = 0;
-            if size == 1 {
-                let k = by * rays.block_columns + bx + e;
-                surfaces.depths(rays, k, palette[0], &mut depths[e]);
-                touching[e] = choice.alone(k, &depths[e]);
-            }
-        }
-        labels.write_blocks(bx * BLOCK, &ids[..palettes.len()]);
-        predicted.write_blocks(bx * BLOCK, &depths[..palettes.len()]);
-    }
-}
-
-/// Codes the labels of the blocks of several spheres, once [`write_alone`] is through with the
-/// others, and writes labels and predicted depths of their pixels. Without a mask every pixel in the
-/// image counts as measured. `FAST`, a pixel's label has one context. `touching`: as there.
+/// Codes the labels of the blocks of several spheres: nothing is coded of the others. Without a mask
+/// every pixel in the image counts as measured. `FAST`, a pixel's label has one context. `tiles` gets
+/// the depths of those blocks' pixels, in the order of the map's, `touching` of each block the pixels
+/// that touch the sphere they got, as `choice` says.
 #[allow(clippy::too_many_arguments)] // one section's whole state
 #[allow(unsafe_code)] // run-time dispatch generated by the macro
 #[multiversion::multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt"))]
@@ -195,13 +254,15 @@ pub(super) fn code<const FAST: bool, C: Coder, W: Choice>(
     reach: &Reach,
     mask: Option<&Mask>,
     map: &mut LabelMap,
-    before: Option<Past<'_, u16>>,
+    before: Option<Past<'_, LabelMap>>,
     surfaces: &Surfaces<'_>,
-    predicted: &mut Plane<f32>,
+    tiles: &mut Vec<Depths>,
     choice: &mut W,
     touching: &mut [u64],
 ) {
     let mut depths = [surface::NOTHING; PALETTE];
+    tiles.clear();
+    tiles.reserve(rays.blocks());
     for k in 0..rays.blocks() {
         let size = usize::from(map.sizes[k]);
         if size <= 1 {
@@ -213,16 +274,22 @@ pub(super) fn code<const FAST: bool, C: Coder, W: Choice>(
             surfaces.depths(rays, k, id, depths);
         }
         choice.block(k, &palette[..size], &depths);
-        let crossing = Crossing::of(&depths, &palette, size, reach);
+        let crossing = if FAST {
+            Crossing::default()
+        } else {
+            Crossing::of(&depths, &palette, size, reach)
+        };
+        let around = map.around(rays, k);
+        let past = before.map(|b| b.picture.past(rays, b.at(k, (x0, y0))));
         let mut block = Block {
             k,
             palette,
             size,
             on: mask.map_or_else(|| mask::inside(rays, k), |mask| mask.block(rays, k)),
             crossing: &crossing,
-            start: map.pixels.index(x0, y0),
-            before,
-            map,
+            ranks: around.ranks(&palette[..size]),
+            around,
+            past: past.map(|labels| (labels.ranks(&palette[..size]), labels)),
             touching: 0,
         };
         let mut entries = [0u8; BLOCK * BLOCK];
@@ -234,12 +301,18 @@ pub(super) fn code<const FAST: bool, C: Coder, W: Choice>(
         for (i, d) in chosen.iter_mut().enumerate() {
             *d = depths[usize::from(entries[i] & 3)][i];
         }
-        predicted.write_block(x0, y0, &chosen);
+        tiles.push(chosen);
+        let mut tile = [NO_SPHERE; BLOCK * BLOCK];
+        for (j, row) in tile.chunks_exact_mut(BLOCK).enumerate() {
+            row.copy_from_slice(&block.around.0[Window::at(0, j)..][..BLOCK]);
+        }
+        map.write_tile(k, tile);
     }
 }
 
-/// How the spheres of a palette lie to each other: of each entry and the next one (bit `8·row +
+/// How the spheres of a palette lie to each other (not looked at in a fast frame): of each entry and the next one (bit `8·row +
 /// column`).
+#[derive(Default)]
 struct Crossing {
     /// The entry is in front of the next one.
     front: [u64; NODES],
@@ -278,24 +351,16 @@ struct Block<'a> {
     size: usize,
     on: u64,
     crossing: &'a Crossing,
-    start: usize,
-    before: Option<Past<'a, u16>>,
-    map: &'a mut LabelMap,
+    /// Labels of the block and around it, as far as they are decoded, and their palette entries.
+    around: Window,
+    ranks: [u8; WINDOW],
+    /// The last frame's.
+    past: Option<([u8; WINDOW], Window)>,
     /// Pixels coded so far that touch their sphere.
     touching: u64,
 }
 
 impl Block<'_> {
-    /// Palette entry of a label, `PALETTE` for one of another block.
-    #[inline(always)]
-    fn rank(&self, label: u16) -> usize {
-        let mut rank = PALETTE;
-        for e in (0..self.size).rev() {
-            rank = if self.palette[e] == label { e } else { rank };
-        }
-        rank
-    }
-
     #[inline(always)]
     fn code_quad<const FAST: bool, C: Coder, W: Choice>(
         &mut self,
@@ -307,31 +372,23 @@ impl Block<'_> {
     ) {
         let pixels = quad_pixels(q);
         let on = self.on & pixels;
-        let stride = self.map.pixels.stride();
-        let first = self.start + q % 2 * QUAD + q / 2 * QUAD * stride;
-        let cells = self.map.pixels.cells();
+        let first = Window::at(q % 2 * QUAD, q / 2 * QUAD);
         if on == 0 {
             // nobody asks, but neighbours look
-            let label = cells[first - 1];
-            self.fill(first, label);
+            self.fill(first, self.around.0[first - 1], self.ranks[first - 1]);
             return;
         }
         // the labels of the quad as a whole look like its upper left middle
-        let past = self
-            .before
-            .map(|b| b.cells[b.at(self.k, first + 1 + stride)]);
+        let past = self.past.as_ref();
         let near = [
-            cells[first - 1 + stride],
-            cells[first + 1 - stride],
-            cells[first - 1 - stride],
-            if q == 3 {
-                cells[first + 3 - stride]
-            } else {
-                cells[first + 4 - stride]
-            },
-            past.unwrap_or(NO_SPHERE),
+            self.ranks[first - 1 + STEP],
+            self.ranks[first + 1 - STEP],
+            self.ranks[first - 1 - STEP],
+            // the quad to the north-east of the last one is not decoded
+            self.ranks[first + if q == 3 { 3 } else { 4 } - STEP],
+            past.map_or(self.none(), |(ranks, _)| ranks[first + 1 + STEP]),
         ]
-        .map(|label| self.rank(label));
+        .map(usize::from);
         let mut nodes = [0usize; NODES];
         for e in 0..self.size - 1 {
             nodes[e] = e * 243 + near.iter().fold(0, |c, &rank| c * 3 + CLASS[e][rank]);
@@ -354,14 +411,15 @@ impl Block<'_> {
             for j in 0..QUAD {
                 for i in 0..QUAD {
                     let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD + i;
-                    let at = first + j * stride + i;
+                    let at = first + j * STEP + i;
                     if on >> bit & 1 == 0 {
-                        let left = self.map.pixels.cells()[at - 1];
-                        self.map.pixels.cells_mut()[at] = left;
+                        self.around.0[at] = self.around.0[at - 1];
+                        self.ranks[at] = self.ranks[at - 1];
                     } else {
                         let entry =
                             self.code_pixel::<FAST, C, W>(coder, models, (q, j, i), at, choice);
-                        self.map.pixels.cells_mut()[at] = self.palette[entry];
+                        self.around.0[at] = self.palette[entry];
+                        self.ranks[at] = entry as u8;
                         entries[bit] = entry as u8;
                         self.touching |= choice.given(self.k, 1 << bit, entry);
                     }
@@ -374,7 +432,7 @@ impl Block<'_> {
             {
                 entry += 1;
             }
-            self.fill(first, self.palette[entry]);
+            self.fill(first, self.palette[entry], entry as u8);
             for j in 0..QUAD {
                 let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD;
                 entries[bit..bit + QUAD].fill(entry as u8);
@@ -383,12 +441,20 @@ impl Block<'_> {
         }
     }
 
+    /// Palette entry of "no sphere", which is what lies where there was no last frame.
     #[inline(always)]
-    fn fill(&mut self, first: usize, label: u16) {
-        let stride = self.map.pixels.stride();
+    fn none(&self) -> u8 {
+        let palette = &self.palette[..self.size];
+        let found = palette.iter().position(|&id| id == NO_SPHERE);
+        found.unwrap_or(PALETTE) as u8
+    }
+
+    #[inline(always)]
+    fn fill(&mut self, first: usize, label: u16, rank: u8) {
         for j in 0..QUAD {
-            let start = first + j * stride;
-            self.map.pixels.cells_mut()[start..start + QUAD].fill(label);
+            let start = first + j * STEP;
+            self.around.0[start..start + QUAD].fill(label);
+            self.ranks[start..start + QUAD].fill(rank);
         }
     }
 
@@ -396,22 +462,20 @@ impl Block<'_> {
     /// spheres cross in it?
     #[inline(always)]
     fn split_context(&self, q: usize, first: usize) -> usize {
-        let stride = self.map.pixels.stride();
-        let cells = self.map.pixels.cells();
-        let (w, n) = (cells[first - 1], cells[first - stride]);
-        let west = (1..QUAD).all(|j| cells[first - 1 + j * stride] == w);
-        let north = cells[first - stride..][..QUAD].iter().all(|&l| l == n);
+        let cells = &self.around.0;
+        let (w, n) = (cells[first - 1], cells[first - STEP]);
+        let west = (1..QUAD).all(|j| cells[first - 1 + j * STEP] == w);
+        let north = cells[first - STEP..][..QUAD].iter().all(|&l| l == n);
         let agree = match (west, north) {
             (true, true) if w != n => 1,
-            (true, true) if self.palette[..self.size].contains(&w) => 0,
+            (true, true) if usize::from(self.ranks[first - 1]) < PALETTE => 0,
             (true, true) => 4,
             (false, false) => 3,
             _ => 2,
         };
-        let past = self.before.map_or(2, |b| {
-            let first = b.at(self.k, first);
-            let label = b.cells[first];
-            let row = |j: usize| &b.cells[first + j * stride..][..QUAD];
+        let past = self.past.as_ref().map_or(2, |(_, labels)| {
+            let label = labels.0[first];
+            let row = |j: usize| &labels.0[first + j * STEP..][..QUAD];
             usize::from((0..QUAD).any(|j| row(j).iter().any(|&l| l != label)))
         });
         let pixels = quad_pixels(q);
@@ -434,18 +498,16 @@ impl Block<'_> {
         at: usize,
         choice: &mut W,
     ) -> usize {
-        let stride = self.map.pixels.stride();
-        let cells = self.map.pixels.cells();
         let bit = (q / 2 * QUAD + j) * BLOCK + q % 2 * QUAD + i;
         // the north-east is not decoded where it lies in a later quad
         let there = i + 1 < QUAD || (j == 0 && q < 3);
-        let back = stride - usize::from(there);
-        let near = [at - 1, at - stride, at - stride - 1, at - back];
-        let [w, n, nw, ne] = near.map(|at| self.rank(cells[at]));
-        let past = self.before.map(|b| {
-            let at = b.at(self.k, at);
-            [at, at + 1, at + stride].map(|at| self.rank(b.cells[at]))
-        });
+        let back = STEP - usize::from(there);
+        let near = [at - 1, at - STEP, at - STEP - 1, at - back];
+        let [w, n, nw, ne] = near.map(|at| usize::from(self.ranks[at]));
+        let past = self
+            .past
+            .as_ref()
+            .map(|(ranks, _)| [at, at + 1, at + STEP].map(|at| usize::from(ranks[at])));
         let mut places = [Place::default(); NODES];
         for e in 0..self.size - 1 {
             let class = &CLASS[e];

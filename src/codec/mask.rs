@@ -5,7 +5,8 @@
 //! pixels of mixed quads in raster order ([`code_pixels`]), under three mixed contexts of decoded
 //! neighbours and of the last frame's mask.
 
-use super::grid::Plane;
+use super::bitmap::Bitmap;
+use super::flow::Past;
 use super::mixer::{Mixer, Place};
 use super::range_coder::{self, Bit, Coder};
 use crate::contact_map::contact::measured;
@@ -36,37 +37,15 @@ pub enum Fill {
     Mixed,
 }
 
-/// A plane of the last frame, looked at where each block was then.
-#[derive(Clone, Copy)]
-pub struct Past<'a, T> {
-    /// Cells of the plane.
-    pub cells: &'a [T],
-    /// Shift of each block, in cells.
-    pub shifts: &'a [isize],
-}
-
-impl<T: Copy> Past<'_, T> {
-    /// Where cell `i` of block `k` was.
+impl Past<'_, Bitmap> {
+    /// Fill of the quad that begins at (x, y).
     #[inline(always)]
-    #[must_use]
-    pub fn at(&self, k: usize, i: usize) -> usize {
-        i.wrapping_add_signed(self.shifts[k])
-    }
-}
-
-impl Past<'_, u8> {
-    /// Fill of the quad that begins at cell `first`.
-    #[inline(always)]
-    fn quad(&self, k: usize, first: usize, stride: usize) -> Fill {
-        let first = self.at(k, first);
-        let row = |j: usize| match self.cells[first + j * stride..].first_chunk::<QUAD>() {
-            Some(row) => u32::from_le_bytes(*row),
-            None => 0,
-        };
-        // four sums of four cells side by side
-        match row(0) + row(1) + row(2) + row(3) {
+    fn quad(&self, k: usize, at: (usize, usize)) -> Fill {
+        let (x, y) = self.at(k, at);
+        let row = |j: usize| self.picture.window((x, 0), (y + j, 0)) & 15;
+        match row(0) + row(1) * 16 + row(2) * 256 + row(3) * 4096 {
             0 => Fill::Empty,
-            0x0404_0404 => Fill::Full,
+            0xFFFF => Fill::Full,
             _ => Fill::Mixed,
         }
     }
@@ -129,8 +108,8 @@ impl Default for Models {
 /// A frame's mask.
 #[derive(Clone, Debug, Default)]
 pub struct Mask {
-    /// 1 where there is a measurement.
-    pub pixels: Plane<u8>,
+    /// Set where there is a measurement.
+    pub pixels: Bitmap,
     /// One for each block.
     pub fills: Vec<Fill>,
     /// Four for each block.
@@ -140,7 +119,7 @@ pub struct Mask {
 impl Mask {
     /// A mask over `rays` that is still to be coded.
     pub fn reset(&mut self, rays: &Rays) {
-        self.pixels.cover(rays, 0);
+        self.pixels.cover(rays);
         self.fills.clear();
         self.fills.resize(rays.blocks(), Fill::Empty);
         self.quads.clear();
@@ -155,17 +134,8 @@ impl Mask {
             Fill::Empty => 0,
             Fill::Full => inside(rays, k),
             Fill::Mixed => {
-                let (x0, y0, ..) = extent(rays, k);
-                let mut on = 0;
-                for j in 0..BLOCK {
-                    let start = self.pixels.index(x0, y0 + j);
-                    if let Some(row) = self.pixels.cells()[start..].first_chunk::<BLOCK>() {
-                        // eight cells of 0 or 1 to eight bits
-                        let bits = u64::from_le_bytes(*row).wrapping_mul(0x0102_0408_1020_4080);
-                        on |= (bits >> 56) << (BLOCK * j);
-                    }
-                }
-                on
+                let columns = rays.block_columns;
+                self.pixels.block(k % columns, k / columns)
             }
         }
     }
@@ -246,7 +216,7 @@ pub fn code_quads<C: Coder>(
     models: &mut Models,
     rays: &Rays,
     mask: &mut Mask,
-    before: Option<Past<'_, u8>>,
+    before: Option<Past<'_, Bitmap>>,
     wanted: &[u64],
 ) {
     let (columns, blocks) = (rays.block_columns, rays.blocks());
@@ -257,14 +227,13 @@ pub fn code_quads<C: Coder>(
     } = mask;
     write_fills(rays, fills, pixels);
     for k in 0..blocks {
-        let (x0, y0, ..) = extent(rays, k);
         let fill = fills[k];
         if fill != Fill::Mixed {
             quads[k] = [fill; QUADS];
             continue;
         }
         let (all, on) = (inside(rays, k), wanted.get(k).copied().unwrap_or(0));
-        let x = k % columns;
+        let (x, y) = (k % columns, k / columns);
         let quad = |there: bool, k: usize, q: usize| if there { quads[k][q] } else { Fill::Empty };
         let block = |there: bool, k: usize| if there { fills[k] } else { Fill::Empty };
         // around the block: quads that are decoded, blocks where they are not
@@ -292,8 +261,8 @@ pub fn code_quads<C: Coder>(
             let e = if right == 1 { east } else { Fill::Mixed };
             let s = if low == 1 { south } else { Fill::Mixed };
             let past = before.map_or(3, |b| {
-                let first = pixels.index(x0 + QUAD * right, y0 + QUAD * low);
-                b.quad(k, first, pixels.stride()) as usize
+                let first = (x * BLOCK + QUAD * right, y * BLOCK + QUAD * low);
+                b.quad(k, first) as usize
             });
             let around = [n, e, s]
                 .iter()
@@ -303,32 +272,27 @@ pub fn code_quads<C: Coder>(
             let fill = code_fill(coder, full, empty, Fill::of(on, here));
             quads[k][q] = fill;
             if fill == Fill::Full {
-                let (x0, y0) = (x0 + QUAD * right, y0 + QUAD * low);
-                let w = QUAD.min(rays.width - x0);
-                for j in 0..QUAD.min(rays.height - y0) {
-                    let start = pixels.index(x0, y0 + j);
-                    pixels.cells_mut()[start..start + w].fill(1);
-                }
+                pixels.set_block(x, y, here);
             }
         }
     }
 }
 
-/// Writes the pixels of full blocks as measured, all others as not. Cells beyond the image stay 0.
-fn write_fills(rays: &Rays, fills: &[Fill], pixels: &mut Plane<u8>) {
+/// Writes the pixels of full blocks as measured, all others as not. Those beyond the image stay 0.
+fn write_fills(rays: &Rays, fills: &[Fill], pixels: &mut Bitmap) {
+    let last = u8::MAX >> (rays.stride() - rays.width);
     for (by, fills) in fills.chunks(rays.block_columns).enumerate() {
-        let y0 = by * BLOCK;
-        let first = pixels.index(0, y0);
-        let row = &mut pixels.cells_mut()[first..first + rays.stride()];
-        for (cells, fill) in row.as_chunks_mut::<BLOCK>().0.iter_mut().zip(fills) {
-            *cells = [u8::from(*fill == Fill::Full); BLOCK];
-        }
-        row[rays.width..].fill(0);
-        for y in y0 + 1..(y0 + BLOCK).min(rays.height) {
-            let start = pixels.index(0, y);
-            pixels
-                .cells_mut()
-                .copy_within(first..first + rays.width, start);
+        for (y, row) in (by * BLOCK..).zip(pixels.block_row_mut(by)) {
+            if y >= rays.height {
+                row.fill(0);
+                continue;
+            }
+            for (bits, fill) in row.iter_mut().zip(fills) {
+                *bits = u8::from(*fill == Fill::Full).wrapping_neg();
+            }
+            if let Some(bits) = row.last_mut() {
+                *bits &= last;
+            }
         }
     }
 }
@@ -341,7 +305,7 @@ pub fn code_pixels<const FAST: bool, C: Coder>(
     models: &mut Models,
     rays: &Rays,
     mask: &mut Mask,
-    before: Option<Past<'_, u8>>,
+    before: Option<Past<'_, Bitmap>>,
     wanted: &[u64],
     how: Precision,
 ) {
@@ -360,19 +324,17 @@ pub fn code_pixels<const FAST: bool, C: Coder>(
                     continue;
                 }
                 let x0 = (k - row) * BLOCK + right * QUAD;
-                let start = mask.pixels.index(x0, y);
+                let mut bits = 0;
                 if how == Precision::Plain {
                     for j in 0..QUAD.min(rays.width - x0) {
                         let on = on >> (right * QUAD + j) & 1;
-                        mask.pixels.cells_mut()[start + j] = coder.plain(1, on as u32) as u8;
+                        bits |= (coder.plain(1, on as u32) as u8) << j;
                     }
+                    mask.pixels.set(k - row, y, bits << (right * QUAD));
                     continue;
                 }
-                let mut around = Around::of(
-                    &mask.pixels,
-                    before.map(|b| (b.cells, b.at(k, start))),
-                    start,
-                );
+                let past = before.map(|b| (b.picture, b.at(k, (x0, y))));
+                let mut around = Around::of(&mask.pixels, past, (x0, y));
                 for j in 0..QUAD.min(rays.width - x0) {
                     let at = around.place(j);
                     let mixture = mixer.mix::<FAST>(&at);
@@ -383,8 +345,9 @@ pub fn code_pixels<const FAST: bool, C: Coder>(
                     }
                     let read = mixer.code_mixed::<FAST, C>(coder, &at, &mixture, on);
                     around.row |= usize::from(read) << (LEFT + j);
-                    mask.pixels.cells_mut()[start + j] = u8::from(read);
+                    bits |= u8::from(read) << j;
                 }
+                mask.pixels.set(k - row, y, bits << (right * QUAD));
             }
         }
     }
@@ -419,14 +382,19 @@ struct Around {
 
 impl Around {
     #[inline(always)]
-    fn of(mask: &Plane<u8>, before: Option<(&[u8], usize)>, i: usize) -> Self {
-        let (p, s) = (mask.cells(), mask.stride());
+    fn of(
+        mask: &Bitmap,
+        before: Option<(&Bitmap, (usize, usize))>,
+        (x, y): (usize, usize),
+    ) -> Self {
         Self {
-            top: window(p, i - 2 * s - LEFT),
-            above: window(p, i - s - LEFT),
-            row: window(p, i - LEFT),
-            below: window(p, i + s - LEFT),
-            past: before.map(|(b, i)| [i - s, i, i + s].map(|i| window(b, i - LEFT))),
+            top: mask.window((x, LEFT), (y, 2)),
+            above: mask.window((x, LEFT), (y, 1)),
+            row: mask.window((x, LEFT), (y, 0)),
+            below: mask.window((x, LEFT), (y + 1, 0)),
+            past: before.map(|(past, (x, y))| {
+                [(y, 1), (y, 0), (y + 1, 0)].map(|row| past.window((x, LEFT), row))
+            }),
         }
     }
 
@@ -459,18 +427,5 @@ impl Around {
             ],
             weights: near,
         }
-    }
-}
-
-/// Sixteen cells of 0 and 1 as bits, cell `from` lowest.
-#[inline(always)]
-fn window(cells: &[u8], from: usize) -> usize {
-    let eight = |row: u64| (row.wrapping_mul(0x0102_0408_1020_4080) >> 56) as usize;
-    match cells[from..].first_chunk::<16>() {
-        Some(cells) => {
-            let cells = u128::from_le_bytes(*cells);
-            eight(cells as u64) | eight((cells >> 64) as u64) << 8
-        }
-        None => 0,
     }
 }

@@ -11,7 +11,7 @@
 //! RealSense 13 and 19 %, for 0.2 to 1.1 % of the pixels lost, 1.9 to 2.5 % invented and a Chamfer
 //! distance 2 to 6 % larger.
 
-use super::grid::Plane;
+use super::bitmap::Bitmap;
 use super::mask::{Mask, QUADS, extent, inside, quad_pixels};
 use crate::contact_map::contact::measured;
 use crate::deproject::{BLOCK, Rays};
@@ -90,12 +90,7 @@ pub(super) fn settle(
 
 /// Smooths the mask of `plane` (padded depth integers, 0 = no measurement) against `past`, the last
 /// frame's; filled pixels get the integer of a measured neighbour. `before` is scratch.
-pub(super) fn smooth(
-    rays: &Rays,
-    plane: &mut [u16],
-    past: Option<&Plane<u8>>,
-    before: &mut Vec<u16>,
-) {
+pub(super) fn smooth(rays: &Rays, plane: &mut [u16], past: Option<&Bitmap>, before: &mut Vec<u16>) {
     before.clear();
     before.extend_from_slice(plane);
     let stride = rays.stride();
@@ -119,7 +114,7 @@ pub(super) fn smooth(
                 let at = y * stride + x;
                 let own = before[at];
                 let near = square.filter(|&&raw| raw != 0).count() as u32 - u32::from(own != 0);
-                let was = past.map(|p| p.cells()[p.index(x, y)] != 0);
+                let was = past.map(|p| p.get(x, y));
                 if own == 0 && near >= FILLED[usize::from(was == Some(true))] {
                     plane[at] = around(rays, before, (x, y));
                 } else if own != 0 && near <= DROPPED[usize::from(was == Some(false))] {

@@ -2,7 +2,7 @@
 //!
 //! Reading order, that of the payload: [`header`]; section *blocks*, which spheres a block touches
 //! ([`mask`] for its fill, [`palettes`]); section *spheres* ([`sphere_table`]); section *pixels*,
-//! which of them each pixel touches ([`mask`], [`label_map`], from the last frame by `flow`);
+//! which of them each pixel touches ([`mask`], [`label_map`], from the last frame by [`flow`]);
 //! section *residual*, what spheres do not give back ([`residual`] in [`bins`]). Each is a model
 //! written once for both directions over the [`range_coder`] and the [`mixer`]; [`encoder`] (with
 //! `palette_choice` and `choice`) and [`decoder`] walk them in the same order.
@@ -14,12 +14,13 @@ mod polar_claims;
 use crate::frame::FrameTime;
 
 pub mod bins;
+pub mod bitmap;
+pub mod cells;
 mod choice;
 pub mod decoder;
 pub mod effort;
 pub mod encoder;
-mod flow;
-pub mod grid;
+pub mod flow;
 pub mod header;
 pub mod label_map;
 pub mod mask;
@@ -38,6 +39,8 @@ pub mod spent;
 pub mod sphere_table;
 mod state;
 mod surface;
+#[cfg(test)]
+mod tile_tests;
 
 pub use decoder::{DecodedFrame, Decoder, Level};
 pub use effort::Effort;

@@ -16,6 +16,7 @@ const LIST: usize = 16;
 /// Learnt models of the palettes.
 #[derive(Clone, Debug)]
 pub struct Models {
+    alone: [Bit; 16 * 8],
     more: [Bit; 3 * 16],
     candidate: [Bit; 8 * 2 * 8],
     none: [Bit; 2],
@@ -25,6 +26,7 @@ pub struct Models {
 impl Default for Models {
     fn default() -> Self {
         Self {
+            alone: [Bit::default(); 16 * 8],
             more: [Bit::default(); 3 * 16],
             candidate: [Bit::default(); 8 * 2 * 8],
             none: Default::default(),
@@ -165,7 +167,7 @@ impl<'a> Candidates<'a> {
 pub struct NoSuchSphere(pub u32);
 
 /// Codes the palettes. Numbers of new spheres come from `new` (reset to the reference frame's), all
-/// below `limit`.
+/// below `limit`. `fast`, a palette of the first candidate alone, as most are, is one bit.
 ///
 /// # Errors
 /// [`NoSuchSphere`] where the bytes name a number beyond `limit` (decoding only).
@@ -179,6 +181,7 @@ pub fn code<C: Coder>(
     before: Option<&LabelMap>,
     new: &mut NewNumbers,
     limit: usize,
+    fast: bool,
 ) -> Result<(), NoSuchSphere> {
     let columns = rays.block_columns;
     for k in 0..rays.blocks() {
@@ -197,14 +200,22 @@ pub fn code<C: Coder>(
             | usize::from(past > 1) << 2
             | usize::from(mask.fills[k] == Fill::Mixed) << 3;
         let size = usize::from(map.sizes[k]);
+        let mut palette = map.palettes[k];
+        let mut list = Candidates::new(map, before, columns, k);
+        let first = if fast { list.get(0) } else { None };
+        if let Some(id) = first {
+            let context = context * 8 + list.votes(id);
+            if coder.bit(&mut models.alone[context], size == 1 && palette[0] == id) {
+                (map.sizes[k], map.palettes[k][0]) = (1, id);
+                continue;
+            }
+        }
         let mut n = 1;
         while n < PALETTE && coder.bit(&mut models.more[(n - 1) * 16 + context], n < size) {
             n += 1;
         }
-        map.sizes[k] = n as u8;
-        let mut palette = map.palettes[k];
-        let mut list = Candidates::new(map, before, columns, k);
-        let mut tried = 0u32;
+        // one sphere alone is not the first candidate
+        let mut tried = u32::from(first.is_some() && n == 1);
         for (entry, label) in palette[..n].iter_mut().enumerate() {
             let id = *label;
             let (mut found, mut rank, mut c) = (None, 0usize, 0usize);
@@ -243,7 +254,7 @@ pub fn code<C: Coder>(
                 number as u16
             };
         }
-        map.palettes[k] = palette;
+        (map.sizes[k], map.palettes[k]) = (n as u8, palette);
     }
     Ok(())
 }

@@ -85,6 +85,8 @@ pub trait Coder {
     }
     /// Codes the low `count` (≤ 16) bits of `value` without a model.
     fn plain(&mut self, count: u32, value: u32) -> u32;
+    /// Codes `value`, one of `total` (1 to 65536) that are all as likely.
+    fn uniform(&mut self, total: u32, value: u32) -> u32;
     /// Bits written so far, in 1/16 bit, to a quarter of a bit: what lies between two calls took their difference. 0 while
     /// reading.
     fn written(&self) -> u64 {
@@ -116,7 +118,7 @@ impl<'a> Encoder<'a> {
         }
     }
 
-    #[inline]
+    #[inline(never)]
     fn shift(&mut self) {
         if self.low < 0xFF00_0000 || self.low > 0xFFFF_FFFF {
             let carry = (self.low >> 32) as u8;
@@ -188,6 +190,17 @@ impl Coder for Encoder<'_> {
                 self.range <<= 8;
                 self.shift();
             }
+        }
+        value
+    }
+
+    #[inline]
+    fn uniform(&mut self, total: u32, value: u32) -> u32 {
+        self.range /= total;
+        self.low += u64::from(self.range) * u64::from(value);
+        while self.range < 1 << 24 {
+            self.range <<= 8;
+            self.shift();
         }
         value
     }
@@ -279,6 +292,19 @@ impl Coder for Decoder<'_> {
                 self.range <<= 8;
                 self.code = self.code << 8 | self.next();
             }
+        }
+        value
+    }
+
+    #[inline]
+    fn uniform(&mut self, total: u32, _: u32) -> u32 {
+        self.range /= total;
+        // what the division left over belongs to nobody; damaged bytes may lie there
+        let value = (self.code / self.range).min(total - 1);
+        self.code -= self.range * value;
+        while self.range < 1 << 24 {
+            self.range <<= 8;
+            self.code = self.code << 8 | self.next();
         }
         value
     }

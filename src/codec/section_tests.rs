@@ -1,10 +1,9 @@
 //! Sections on their own: what goes into a coder comes out again, and choices against brute force.
 
 use super::choice::{Errors, MISS_COST};
-use super::flow;
-use super::grid::Plane;
-use super::label_map::{self, AsRead, Choice, LabelMap};
-use super::mask::{self, Fill, Mask, Past, QUADS, quad_pixels};
+use super::flow::{self, Past, Shift};
+use super::label_map::{AsRead, Choice, LabelMap};
+use super::mask::{self, Fill, Mask, QUADS, quad_pixels};
 use super::palette_choice;
 use super::range_coder::{self, Coder, Decoder, Encoder};
 use super::sphere_table::Entry;
@@ -21,9 +20,9 @@ use crate::frame::{Camera, DepthFrame, Intrinsics};
 use glam::{DMat3, DVec3, Vec3};
 use proptest::prelude::*;
 
-const UNIT_M: f64 = 0.001;
+pub(super) const UNIT_M: f64 = 0.001;
 
-fn camera(width: u32, height: u32) -> Camera {
+pub(super) fn camera(width: u32, height: u32) -> Camera {
     Camera {
         width,
         height,
@@ -43,10 +42,10 @@ fn camera(width: u32, height: u32) -> Camera {
 }
 
 /// Numbers that look random and are the same each time (splitmix64).
-struct Chance(u64);
+pub(super) struct Chance(pub u64);
 
 impl Chance {
-    fn below(&mut self, n: u64) -> u64 {
+    pub fn below(&mut self, n: u64) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -54,12 +53,12 @@ impl Chance {
         (z ^ z >> 31) % n
     }
 
-    fn float(&mut self, low: f64, high: f64) -> f64 {
+    pub fn float(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.below(1 << 30) as f64 / f64::from(1 << 30)
     }
 
     /// A mask of a block: mostly whole quads, as real ones are.
-    fn block(&mut self) -> u64 {
+    pub fn block(&mut self) -> u64 {
         let each = (0..QUADS).map(|q| {
             quad_pixels(q)
                 & match self.below(4) {
@@ -72,19 +71,22 @@ impl Chance {
     }
 
     /// A shift of each block that leaves it inside the padded image.
-    fn shifts(&mut self, rays: &Rays, stride: usize) -> Vec<isize> {
+    fn shifts(&mut self, rays: &Rays) -> Vec<Shift> {
         let mut shift = |at: usize, size: usize| {
-            let place = self.below((size * BLOCK - BLOCK) as u64 + 1) as isize;
-            place - (at * BLOCK) as isize
+            let place = self.below((size * BLOCK - BLOCK) as u64 + 1) as i32;
+            place - (at * BLOCK) as i32
         };
         let (columns, rows) = (rays.block_columns, rays.block_rows);
         (0..rays.blocks())
-            .map(|k| shift(k / columns, rows) * stride as isize + shift(k % columns, columns))
+            .map(|k| Shift {
+                y: shift(k / columns, rows),
+                x: shift(k % columns, columns),
+            })
             .collect()
     }
 
     /// A surface before the camera, or one that no ray meets.
-    fn sphere(&mut self) -> Sphere {
+    pub fn sphere(&mut self) -> Sphere {
         Sphere {
             a: self.float(-0.6, 0.6) as f32,
             m: Vec3::new(
@@ -97,7 +99,7 @@ impl Chance {
     }
 }
 
-fn sizes() -> impl Strategy<Value = (u32, u32)> {
+pub(super) fn sizes() -> impl Strategy<Value = (u32, u32)> {
     (2u32..42, 2u32..42)
 }
 
@@ -105,14 +107,14 @@ fn code_mask<C: Coder>(
     coder: &mut C,
     (fills, models): &mut (mask::FillModels, mask::Models),
     rays: &Rays,
-    before: Option<(&Mask, &[isize])>,
+    before: Option<(&Mask, &[Shift])>,
     wanted: &[u64],
     fast: bool,
 ) -> Mask {
     let mut mask = Mask::default();
     mask.reset(rays);
     let past = before.map(|(mask, shifts)| Past {
-        cells: mask.pixels.cells(),
+        picture: &mask.pixels,
         shifts,
     });
     mask::code_fills(coder, fills, rays, &mut mask, before.map(|b| b.0), wanted);
@@ -141,8 +143,7 @@ proptest! {
             let wanted: Vec<_> = (0..rays.blocks())
                 .map(|k| chance.block() & mask::inside(&rays, k))
                 .collect();
-            let stride = before.as_ref().map_or(0, |b| b.pixels.stride());
-            let shifts = chance.shifts(&rays, stride);
+            let shifts = chance.shifts(&rays);
             let past = before.as_ref().map(|b| (b, shifts.as_slice()));
             let mut bytes = Vec::new();
             let mut coder = Encoder::new(&mut bytes);
@@ -151,16 +152,13 @@ proptest! {
             let mut coder = Decoder::new(&bytes);
             let here = code_mask(&mut coder, &mut read, &rays, past, &[], fast);
             prop_assert!(!coder.overran());
-            prop_assert_eq!(here.pixels.cells(), there.pixels.cells());
+            prop_assert_eq!(&here.pixels, &there.pixels);
             prop_assert_eq!((&here.fills, &here.quads), (&there.fills, &there.quads));
             for (k, &wanted) in wanted.iter().enumerate() {
                 prop_assert_eq!(here.block(&rays, k), wanted);
-                let (x0, y0, ..) = mask::extent(&rays, k);
-                for bit in 0..BLOCK * BLOCK {
-                    // cells beyond the image too: they are 0
-                    let cell = here.pixels.cells()[here.pixels.index(x0 + bit % BLOCK, y0 + bit / BLOCK)];
-                    prop_assert_eq!(u64::from(cell), wanted >> bit & 1);
-                }
+                // those beyond the image too: they are 0
+                let at = (k % rays.block_columns, k / rays.block_columns);
+                prop_assert_eq!(here.pixels.block(at.0, at.1), wanted);
             }
             before = Some(here);
         }
@@ -198,19 +196,15 @@ proptest! {
                 }
             }
             let mut here = there.clone();
-            let stride = before.as_ref().map_or(0, |b| b.pixels.stride());
-            let shifts = chance.shifts(&rays, stride);
-            let past = before.as_ref().map(|b| Past { cells: b.pixels.cells(), shifts: &shifts });
-            let (mut drawn, mut rebuilt) = (Plane::default(), Plane::default());
-            drawn.cover(&rays, 0f32);
-            rebuilt.cover(&rays, 0f32);
+            let shifts = chance.shifts(&rays);
+            let past = before.as_ref().map(|b| Past { picture: b, shifts: &shifts });
+            let (mut drawn, mut rebuilt) = (Vec::new(), Vec::new());
             let mut script = Script::new(&mut chance, &there);
             let surfaces = Surfaces(&entries);
             let mut bytes = Vec::new();
             let mut coder = Encoder::new(&mut bytes);
             let known = (!fast).then_some(&mask);
             let mut hits = vec![u64::MAX; rays.blocks()];
-            label_map::write_alone(&rays, &mut there, &surfaces, &mut drawn, &script, &mut hits);
             state::code_labels(
                 &mut coder, &mut written, &rays, &reach, known, &mut there, past, &surfaces,
                 &mut drawn, &mut script, &mut hits,
@@ -218,25 +212,24 @@ proptest! {
             coder.finish();
             let mut coder = Decoder::new(&bytes);
             let mut none = vec![0; rays.blocks()];
-            label_map::write_alone(&rays, &mut here, &surfaces, &mut rebuilt, &AsRead, &mut none);
             state::code_labels(
                 &mut coder, &mut read, &rays, &reach, known, &mut here, past, &surfaces,
                 &mut rebuilt, &mut AsRead, &mut none,
             );
             prop_assert!(!coder.overran());
-            prop_assert_eq!(here.pixels.cells(), there.pixels.cells());
+            prop_assert_eq!(&here.tiles, &there.tiles);
             for (k, entries) in script.wanted.iter().enumerate() {
-                let (x0, y0, ..) = mask::extent(&rays, k);
                 let mut depths = [surface::NOTHING; PALETTE];
                 for (depths, &id) in depths.iter_mut().zip(&here.palettes[k]) {
                     surfaces.depths(&rays, k, id, depths);
                 }
                 for (bit, &e) in entries.iter().enumerate().filter(|(b, _)| wanted[k] >> b & 1 != 0) {
-                    let i = here.pixels.index(x0 + bit % BLOCK, y0 + bit / BLOCK);
-                    prop_assert_eq!(here.pixels.cells()[i], here.palettes[k][usize::from(e)]);
+                    prop_assert_eq!(here.label(k, bit), here.palettes[k][usize::from(e)]);
                     let depth = depths[usize::from(e)][bit];
-                    prop_assert_eq!(rebuilt.cells()[i].to_bits(), depth.to_bits());
-                    prop_assert_eq!(drawn.cells()[i].to_bits(), depth.to_bits());
+                    if let Some(place) = here.place(k) {
+                        prop_assert_eq!(rebuilt[place][bit].to_bits(), depth.to_bits());
+                        prop_assert_eq!(drawn[place][bit].to_bits(), depth.to_bits());
+                    }
                 }
                 let given = hits[k] & wanted[k];
                 prop_assert_eq!(given, if there.sizes[k] == 0 { 0 } else { wanted[k] });
@@ -321,8 +314,8 @@ proptest! {
         for k in 0..rays.blocks() {
             map.palettes[k][0] = chance.below(5) as u16;
         }
-        let (stride, mut found) = (1 << 20, Vec::new());
-        flow::shifts(&rays, &map, &entries, &motion, stride, &mut found);
+        let mut found = Vec::new();
+        flow::shifts(&rays, &map, &entries, &motion, &mut found);
         let gibbs = DVec3::from_array(motion.turn.map(|n| f64::from(n) / 65_536.0));
         let turn = DMat3::from_axis_angle(gibbs.try_normalize().unwrap_or(DVec3::X), 2.0 * gibbs.length().atan());
         let shift = DVec3::from_array(motion.shift.map(|n| f64::from(n) / 16_384.0));
@@ -344,13 +337,12 @@ proptest! {
             if root < 0.05 || root.is_nan() || p.z.abs() < 0.05 || (l + root).abs() < 0.05 {
                 continue;
             }
-            let rows = (found + (stride / 2) as isize).div_euclid(stride as isize);
-            let found = [found - rows * stride as isize, rows];
+            let found = [found.x, found.y];
             for ((exact, start, blocks), found) in moved.into_iter().zip(found) {
                 let (low, high) = (-(start as f64), ((blocks - 1) * BLOCK - start) as f64);
                 let near = [-0.02, 0.02].map(|by| (exact + by + 0.5).floor().clamp(low, high));
                 prop_assert!(
-                    near.contains(&(found as f64)) || exact.abs() > 1e4,
+                    near.contains(&f64::from(found)) || exact.abs() > 1e4,
                     "block {k}: {found} pixels, exactly {exact}"
                 );
             }
@@ -398,10 +390,6 @@ impl Script {
 }
 
 impl Choice for Script {
-    fn alone(&self, k: usize, _: &Depths) -> u64 {
-        self.as_wanted(k, u64::MAX, 0)
-    }
-
     fn block(&mut self, k: usize, _: &[u16], _: &[Depths; PALETTE]) {
         self.block = k;
     }
@@ -456,7 +444,7 @@ fn without_a_motion_or_a_sphere_nothing_shifts() {
     };
     for motion in [Motion::default(), moved] {
         let mut out = Vec::new();
-        flow::shifts(&rays, &map, &entries, &motion, 64, &mut out);
-        assert_eq!(out, vec![0; rays.blocks()]);
+        flow::shifts(&rays, &map, &entries, &motion, &mut out);
+        assert_eq!(out, vec![Shift::default(); rays.blocks()]);
     }
 }

@@ -167,9 +167,10 @@ impl Chart {
         let (a, m) = (f64::from(sphere.a), sphere.m.as_dvec3());
         let w = self.inverse_depth(sphere);
         let round = |x: f64| {
-            (x / step + 0.5)
-                .floor()
-                .clamp(-f64::from(MOST), f64::from(MOST)) as i32
+            // the largest integer not above it; `floor` is a call without SSE 4.1
+            let x = (x / step + 0.5).clamp(-f64::from(MOST), f64::from(MOST));
+            let whole = x as i32;
+            whole - i32::from(x < f64::from(whole))
         };
         // implicit derivative of w = a·q/w + m·r
         let slope = 1.0 + a * self.q / (w * w);
@@ -262,7 +263,9 @@ pub fn code_entry<C: Coder>(
             1.0,
         ),
     };
-    let wanted = (size.log2().floor() as i32).clamp(STEP_MIN, STEP_MAX);
+    // the exponent of a positive number is its logarithm, rounded down
+    let exponent = (size.to_bits() >> 52) as i32 - 1023;
+    let wanted = exponent.clamp(STEP_MIN, STEP_MAX);
     let guide = before.or(beside).or(*last);
     let log = match guide {
         Some(g) => {

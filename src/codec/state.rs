@@ -1,15 +1,16 @@
 //! What encoder and decoder both carry from frame to frame, and the prediction both compute.
 
 use super::bins::{Bins, NoSuchInteger};
-use super::flow;
-use super::grid::Plane;
+use super::bitmap::Bitmap;
+use super::cells::{Cell, Cells};
+use super::flow::{self, Past, Shift};
 use super::label_map::{self, Choice, LabelMap};
-use super::mask::{self, Fill, Mask, Past};
+use super::mask::{self, Fill, Mask};
 use super::palettes::{self, NewNumbers, NoSuchSphere};
 use super::range_coder::Coder;
-use super::residual::{self, Kind, Trace};
+use super::residual::{self, Kind};
 use super::sphere_table::{self, Entry, Support};
-use super::surface::{BEYOND, Surfaces, to_integer};
+use super::surface::{self, Depths, Surfaces};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
@@ -49,14 +50,12 @@ pub(super) struct State {
     pub new: NewNumbers,
     pub supports: Vec<Support>,
     pub bins: Bins,
-    /// Where the blocks were in the last frame, in cells.
-    pub shifts: Vec<isize>,
-    /// Depth each measured pixel's sphere predicts, in depth integers; its negative where the pixel
-    /// came back from a bin, 0 where that had no sphere.
-    pub predicted: Plane<f32>,
-    /// Rebuilt depth integers; 0 where nothing was measured.
-    pub rebuilt: Plane<u16>,
-    pub traces: Plane<Trace>,
+    /// Where the blocks were in the last frame.
+    pub shifts: Vec<Shift>,
+    /// Depths that spheres predict, of the blocks of several, in the order of the map's tiles.
+    pub tiles: Vec<Depths>,
+    /// What pixels tell each other where some come back from bins.
+    pub cells: Cells,
     /// Measured pixels of each block that touch the sphere they got (encoding only).
     pub hits: Vec<u64>,
     /// What the mask took of the sections of blocks and of pixels, in 1/16 bit (encoding only).
@@ -98,7 +97,6 @@ impl State {
         self.now.kinds.resize(rays.blocks(), Kind::Smooth);
         self.hits.resize(rays.blocks(), 0);
         self.bins.cover(rays);
-        self.predicted.cover(rays, 0.0);
         self.now.entries.clear();
         self.new
             .reset(self.before.entries.iter().map(Option::is_some));
@@ -153,14 +151,14 @@ impl State {
             past.map(|b| &b.map),
             new,
             MAX_SPHERES,
+            self.fast,
         )
     }
 
     /// Where the blocks were in the last frame: what the section *pixels* needs first.
     pub fn look_back(&mut self, rays: &Rays, motion: &Motion) {
         let State { now, shifts, .. } = self;
-        let stride = now.mask.pixels.stride();
-        flow::shifts(rays, &now.map, &now.entries, motion, stride, shifts);
+        flow::shifts(rays, &now.map, &now.entries, motion, shifts);
     }
 
     /// Section *pixels*, the mask. `wanted`: measured pixels of each block, of which some may go
@@ -174,15 +172,14 @@ impl State {
         how: mask::Precision,
     ) {
         let past = (!key).then_some(Past {
-            cells: self.before.mask.pixels.cells(),
+            picture: &self.before.mask.pixels,
             shifts: &self.shifts,
         });
         let (models, mask) = (&mut self.models.mask, &mut self.now.mask);
         self.mask_bits[1] = code_mask(coder, models, rays, mask, past, wanted, how, self.fast);
     }
 
-    /// Section *pixels*, the labels: after the mask, or, fast, without it. Predicted depths come with
-    /// them.
+    /// Section *pixels*, the labels: after the mask, or, fast, without it.
     pub fn code_labels<C: Coder, W: Choice>(
         &mut self,
         coder: &mut C,
@@ -192,13 +189,11 @@ impl State {
         choice: &mut W,
     ) {
         let past = (!key).then_some(Past {
-            cells: self.before.map.pixels.cells(),
+            picture: &self.before.map,
             shifts: &self.shifts,
         });
         let mask = (!self.fast).then_some(&self.now.mask);
         let (map, surfaces) = (&mut self.now.map, Surfaces(&self.now.entries));
-        let (predicted, hits) = (&mut self.predicted, &mut self.hits);
-        label_map::write_alone(rays, map, &surfaces, predicted, choice, hits);
         code_labels(
             coder,
             &mut self.models.labels,
@@ -208,9 +203,9 @@ impl State {
             map,
             past,
             &surfaces,
-            predicted,
+            &mut self.tiles,
             choice,
-            hits,
+            &mut self.hits,
         );
     }
 
@@ -228,20 +223,20 @@ impl State {
             models,
             now,
             before,
-            predicted,
             shifts,
+            tiles,
             hits,
             mask_bits,
             ..
         } = self;
-        let (mask_past, label_past) = (before.mask.pixels.cells(), before.map.pixels.cells());
+        let (of_masks, of_maps) = (&before.mask.pixels, &before.map);
         let past = (!key).then_some((
             Past {
-                cells: mask_past,
+                picture: of_masks,
                 shifts,
             },
             Past {
-                cells: label_past,
+                picture: of_maps,
                 shifts,
             },
         ));
@@ -249,7 +244,6 @@ impl State {
             mask, map, entries, ..
         } = now;
         let surfaces = Surfaces(entries);
-        label_map::write_alone(rays, map, &surfaces, predicted, choice, hits);
         rayon::join(
             || {
                 let (models, past) = (&mut models.mask, past.map(|p| p.0));
@@ -258,8 +252,7 @@ impl State {
             || {
                 let (models, past) = (&mut models.labels, past.map(|p| p.1));
                 code_labels(
-                    of_labels, models, rays, reach, None, map, past, &surfaces, predicted, choice,
-                    hits,
+                    of_labels, models, rays, reach, None, map, past, &surfaces, tiles, choice, hits,
                 );
             },
         );
@@ -280,15 +273,13 @@ impl State {
         plane: Option<&[u16]>,
         wanted: W,
     ) -> Result<(), NoSuchInteger> {
-        self.cover(rays);
         let State {
             models,
             fast,
             now,
             before,
-            predicted,
-            rebuilt,
-            traces,
+            tiles,
+            cells,
             bins,
             hits,
             ..
@@ -302,22 +293,24 @@ impl State {
             return Ok(());
         }
         bins.prepare(rays, reach, lossless, true);
-        rebuild_near(rays, now, predicted, rebuilt);
+        write_near(rays, now, tiles, cells);
+        let scene = residual::Scene {
+            rays,
+            bins,
+            now,
+            tiles,
+            hits,
+        };
         if *fast {
-            residual::code_pixels::<true, C, W>(
-                coder, models, rays, bins, now, predicted, rebuilt, traces, hits, wanted,
-            );
+            residual::code_pixels_fast(coder, models, &scene, cells, wanted);
         } else {
-            residual::code_pixels::<false, C, W>(
-                coder, models, rays, bins, now, predicted, rebuilt, traces, hits, wanted,
-            );
+            residual::code_pixels(coder, models, &scene, cells, wanted);
         }
         Ok(())
     }
 
     /// Section *residual* of a plain frame, but for its depths: kinds of blocks.
     pub fn code_plain_kinds<C: Coder>(&mut self, coder: &mut C, rays: &Rays, key: bool) {
-        self.cover(rays);
         if key {
             self.bins.begin(false);
         }
@@ -336,43 +329,20 @@ impl State {
     /// States the depths of a plain frame, in raster order; `integer` tells or takes the one at (x, y).
     pub fn state_plainly(&mut self, rays: &Rays, mut integer: impl FnMut(usize, usize) -> u16) {
         let State {
-            now,
-            predicted,
-            rebuilt,
-            ..
+            now, tiles, cells, ..
         } = self;
+        write_near(rays, now, tiles, cells);
         for y in 0..rays.height {
-            for x0 in (0..rays.width).step_by(BLOCK) {
-                if now.kinds[y / BLOCK * rays.block_columns + x0 / BLOCK] == Kind::Smooth {
+            for bx in 0..rays.block_columns {
+                let k = y / BLOCK * rays.block_columns + bx;
+                let Some(tile) = cells.tile_mut(k).filter(|_| now.kinds[k] != Kind::Smooth) else {
                     continue;
+                };
+                let row = &mut tile[y % BLOCK * BLOCK..][..BLOCK];
+                let on = now.mask.pixels.row(bx, y);
+                for (i, cell) in row.iter_mut().enumerate().filter(|c| on >> c.0 & 1 != 0) {
+                    *cell = Cell::of_bin(integer(bx * BLOCK + i, y), 0, 0);
                 }
-                let start = now.mask.pixels.index(x0, y);
-                for j in 0..BLOCK.min(rays.width - x0) {
-                    let i = start + j;
-                    if now.mask.pixels.cells()[i] == 0 {
-                        continue;
-                    }
-                    rebuilt.cells_mut()[i] = integer(x0 + j, y);
-                    let d = predicted.cells()[i];
-                    let sphere = now.map.pixels.cells()[i] != NO_SPHERE;
-                    let guess = sphere && d > 0.0 && d < BEYOND;
-                    predicted.cells_mut()[i] = if guess { -d } else { 0.0 };
-                }
-            }
-        }
-    }
-
-    fn cover(&mut self, rays: &Rays) {
-        self.rebuilt.cover(rays, 0);
-        self.traces.cover(rays, Trace::default());
-        // only blocks that were not smooth in the last frame hold any trace
-        for (block, &kind) in self.before.kinds.iter().enumerate() {
-            if kind != Kind::Smooth {
-                self.traces.fill_block(
-                    block % rays.block_columns * BLOCK,
-                    block / rays.block_columns * BLOCK,
-                    Trace::default(),
-                );
             }
         }
     }
@@ -385,7 +355,7 @@ fn code_mask<C: Coder>(
     models: &mut mask::Models,
     rays: &Rays,
     mask: &mut Mask,
-    past: Option<Past<'_, u8>>,
+    past: Option<Past<'_, Bitmap>>,
     wanted: &[u64],
     how: mask::Precision,
     fast: bool,
@@ -409,30 +379,53 @@ pub(super) fn code_labels<C: Coder, W: Choice>(
     reach: &Reach,
     mask: Option<&Mask>,
     map: &mut LabelMap,
-    past: Option<Past<'_, u16>>,
+    past: Option<Past<'_, LabelMap>>,
     surfaces: &Surfaces<'_>,
-    predicted: &mut Plane<f32>,
+    tiles: &mut Vec<Depths>,
     choice: &mut W,
     hits: &mut [u64],
 ) {
     if mask.is_some() {
         label_map::code::<false, C, W>(
-            coder, models, rays, reach, mask, map, past, surfaces, predicted, choice, hits,
+            coder, models, rays, reach, mask, map, past, surfaces, tiles, choice, hits,
         );
     } else {
         label_map::code::<true, C, W>(
-            coder, models, rays, reach, None, map, past, surfaces, predicted, choice, hits,
+            coder, models, rays, reach, None, map, past, surfaces, tiles, choice, hits,
         );
     }
 }
 
-/// The integers that spheres give, 0 where nothing was measured (neighbours tell them by it), in the
-/// blocks that are not smooth and those that these look at: around them, but not below.
+impl Picture {
+    /// Depths that the spheres of block `k` predict for its pixels; `tiles` are those of blocks of
+    /// several.
+    #[inline(always)]
+    pub fn depths(&self, rays: &Rays, k: usize, tiles: &[Depths], out: &mut Depths) {
+        match self.map.place(k).and_then(|place| tiles.get(place)) {
+            Some(tile) => *out = *tile,
+            None => Surfaces(&self.entries).depths(rays, k, self.map.palettes[k][0], out),
+        }
+    }
+
+    /// Row `j` of them.
+    #[inline(always)]
+    pub fn depth_row(&self, rays: &Rays, k: usize, j: usize, tiles: &[Depths]) -> [f32; BLOCK] {
+        match self.map.place(k).and_then(|place| tiles.get(place)) {
+            Some(tile) => *tile[j * BLOCK..].first_chunk().unwrap_or(&[0.0; BLOCK]),
+            None => Surfaces(&self.entries).depth_row(rays, k, j, self.map.palettes[k][0]),
+        }
+    }
+}
+
+/// Cells of the blocks that are not smooth and of those that these look at: around them, but not
+/// below.
 #[allow(unsafe_code)] // run-time dispatch generated by the macro
 #[multiversion::multiversion(targets("x86_64+avx2"))]
-fn rebuild_near(rays: &Rays, now: &Picture, predicted: &Plane<f32>, rebuilt: &mut Plane<u16>) {
+fn write_near(rays: &Rays, now: &Picture, tiles: &[Depths], cells: &mut Cells) {
+    cells.reset(rays);
     let columns = rays.block_columns;
     let rough = |there: bool, k: usize| there && now.kinds[k] != Kind::Smooth;
+    let mut depths = surface::NOTHING;
     for k in 0..rays.blocks() {
         let x = k % columns;
         let (west, east, below) = (x > 0, x + 1 < columns, k + columns < rays.blocks());
@@ -442,22 +435,9 @@ fn rebuild_near(rays: &Rays, now: &Picture, predicted: &Plane<f32>, rebuilt: &mu
             || rough(below, k + columns)
             || rough(below && east, k + columns + 1)
             || rough(below && west, (k + columns).wrapping_sub(1));
-        if !seen {
-            continue;
-        }
-        let (x0, y0, ..) = mask::extent(rays, k);
-        if now.mask.fills[k] == Fill::Empty {
-            rebuilt.fill_block(x0, y0, 0);
-            continue;
-        }
-        for j in 0..BLOCK {
-            let start = rebuilt.index(x0, y0 + j);
-            let on = &now.mask.pixels.cells()[start..start + BLOCK];
-            let depth = &predicted.cells()[start..start + BLOCK];
-            let row = &mut rebuilt.cells_mut()[start..start + BLOCK];
-            for ((r, &m), &d) in row.iter_mut().zip(on).zip(depth) {
-                *r = to_integer(d) * u16::from(m);
-            }
+        if seen && now.mask.fills[k] != Fill::Empty {
+            now.depths(rays, k, tiles, &mut depths);
+            cells.write(k, now.mask.block(rays, k), &depths);
         }
     }
 }
