@@ -19,6 +19,7 @@ use crate::fit::live::FitOptions;
 use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, DepthFrame};
+use rayon::prelude::*;
 
 /// The encoder with its reference frame and buffers.
 #[derive(Clone, Debug)]
@@ -236,10 +237,9 @@ impl Encoder {
             }
         }
         let mut report = EncodeReport {
-            valid_pixels: self.validity.clean(&self.rays, frame, &mut self.plane) as u32,
+            valid_pixels: self.take_in(frame) as u32,
             ..Default::default()
         };
-        mask::measure(&self.rays, &self.plane, &mut self.measured);
         if self.smooths() {
             self.truth.clone_from(&self.measured);
             let past = (!key).then_some(&self.state.before.mask.pixels);
@@ -294,6 +294,26 @@ impl Encoder {
         self.last_sequence = Some(frame.sequence);
         self.since_key = if key { 0 } else { self.since_key + 1 };
         Ok(report)
+    }
+
+    /// Depth integers and measured pixels of a frame; returns how many are measured.
+    fn take_in(&mut self, frame: &DepthFrame) -> usize {
+        let (rays, validity) = (&self.rays, &self.validity);
+        self.plane.resize(rays.padded(), 0);
+        self.measured.resize(rays.blocks(), 0);
+        // a row of blocks is looked at while its pixels are at hand
+        let planes = self.plane.par_chunks_mut(rays.stride() * BLOCK);
+        let frames = frame.depth.par_chunks(rays.width * BLOCK);
+        let rows = self.measured.par_chunks_mut(rays.block_columns);
+        planes
+            .zip(frames)
+            .zip(rows)
+            .map(|((plane, depth), row)| {
+                let pixels = validity.clean_rows(rays, depth, plane);
+                mask::measure_row(rays, plane, row);
+                pixels
+            })
+            .sum()
     }
 
     fn choose_palettes(&mut self, saint: &SaintFrame) {
