@@ -45,10 +45,11 @@ impl<P> Past<'_, P> {
     }
 }
 
-/// Shift of each block; all zero where the camera stands still.
+/// Shift of each block that is `asked` for; all zero where the camera stands still.
 pub(super) fn shifts(
     rays: &Rays,
     map: &LabelMap,
+    asked: impl Fn(usize) -> bool,
     entries: &[Option<Entry>],
     motion: &Motion,
     out: &mut Vec<Shift>,
@@ -62,7 +63,7 @@ pub(super) fn shifts(
     // ray steps of a pixel, from the single-precision table that all sides share
     let du = f64::from(rays.u[1]) - f64::from(rays.u[0]);
     let dv = f64::from(rays.v[1]) - f64::from(rays.v[0]);
-    for (k, out) in out.iter_mut().enumerate() {
+    for (k, out) in out.iter_mut().enumerate().filter(|block| asked(block.0)) {
         let Some(Some(entry)) = entries.get(usize::from(map.palettes[k][0])) else {
             continue;
         };

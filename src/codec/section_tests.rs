@@ -315,7 +315,7 @@ proptest! {
             map.palettes[k][0] = chance.below(5) as u16;
         }
         let mut found = Vec::new();
-        flow::shifts(&rays, &map, &entries, &motion, &mut found);
+        flow::shifts(&rays, &map, |_| true, &entries, &motion, &mut found);
         let gibbs = DVec3::from_array(motion.turn.map(|n| f64::from(n) / 65_536.0));
         let turn = DMat3::from_axis_angle(gibbs.try_normalize().unwrap_or(DVec3::X), 2.0 * gibbs.length().atan());
         let shift = DVec3::from_array(motion.shift.map(|n| f64::from(n) / 16_384.0));
@@ -444,7 +444,7 @@ fn without_a_motion_or_a_sphere_nothing_shifts() {
     };
     for motion in [Motion::default(), moved] {
         let mut out = Vec::new();
-        flow::shifts(&rays, &map, &entries, &motion, &mut out);
+        flow::shifts(&rays, &map, |_| true, &entries, &motion, &mut out);
         assert_eq!(out, vec![Shift::default(); rays.blocks()]);
     }
 }

@@ -158,7 +158,9 @@ impl State {
     /// Where the blocks were in the last frame: what the section *pixels* needs first.
     pub fn look_back(&mut self, rays: &Rays, motion: &Motion) {
         let State { now, shifts, .. } = self;
-        flow::shifts(rays, &now.map, &now.entries, motion, shifts);
+        // others have neither pixels nor labels to code
+        let asked = |k: usize| now.mask.fills[k] == Fill::Mixed || now.map.sizes[k] > 1;
+        flow::shifts(rays, &now.map, asked, &now.entries, motion, shifts);
     }
 
     /// Section *pixels*, the mask. `wanted`: measured pixels of each block, of which some may go
