@@ -141,14 +141,14 @@ impl Bins {
         self.present.resize(INTEGERS, false);
         self.seen.resize(INTEGERS, false);
         let most = steepest(rays);
-        let edges: Vec<f64> = (1..CLASSES).map(|class| edge(most, class)).collect();
+        let edges: [f64; CLASSES - 1] = std::array::from_fn(|n| edge(most, n + 1));
         self.classes.extend((0..rays.blocks()).map(|k| {
             let (x0, y0, ..) = extent(rays, k);
             std::array::from_fn(|bit| {
                 let (u, v) = (rays.u[x0 + bit % BLOCK], rays.v[y0 + bit / BLOCK]);
                 // classes by squared length: no root to agree on
                 let q = f64::from(u * u + v * v + 1.0);
-                edges.iter().filter(|edge| q >= **edge).count() as u8
+                edges.iter().map(|&edge| u8::from(q >= edge)).sum()
             })
         }));
     }

@@ -193,11 +193,17 @@ pub(super) fn prune<'a, C: Fn(u16) -> u32>(
 fn block_labels(saint: &SaintFrame, rays: &Rays, k: usize) -> [u16; BLOCK * BLOCK] {
     let (x0, y0, w, h) = extent(rays, k);
     let mut labels = [INVALID; BLOCK * BLOCK];
-    for (j, out) in labels.chunks_exact_mut(BLOCK).take(h).enumerate() {
-        let row = &saint.labels[(y0 + j) * rays.width + x0..][..w];
-        match row.first_chunk::<BLOCK>() {
-            Some(row) => out.copy_from_slice(row),
-            None => out[..w].copy_from_slice(row),
+    let rows = labels.as_chunks_mut::<BLOCK>().0.iter_mut();
+    for (j, out) in rows.take(h).enumerate() {
+        let row = &saint.labels[(y0 + j) * rays.width + x0..];
+        // a copy of unknown length is a call
+        match row.first_chunk() {
+            Some(row) if w == BLOCK => *out = *row,
+            _ => {
+                for (out, &label) in out.iter_mut().zip(&row[..w]) {
+                    *out = label;
+                }
+            }
         }
     }
     labels
