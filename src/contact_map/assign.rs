@@ -202,8 +202,11 @@ impl Block<'_> {
     pub fn hold(&self, first: u16) -> (BlockContacts, bool) {
         // most blocks lie within reach of their sphere along the ray: the cheaper question first
         if let Some(Some(sphere)) = self.spheres.get(usize::from(first)) {
-            let contact = self.contact;
-            let all = contact.all_along_ray(self.plane, self.rays, self.at, sphere);
+            let (contact, plane, rays, at) = (self.contact, self.plane, self.rays, self.at);
+            let all = match self.valid {
+                u64::MAX => contact.all_along_ray::<true>(plane, rays, at, sphere),
+                _ => contact.all_along_ray::<false>(plane, rays, at, sphere),
+            };
             if all && self.valid.count_ones() > 8 {
                 return (self.whole(first), true);
             }

@@ -86,11 +86,14 @@ impl Contact {
         }
     }
 
-    /// True where every measurement of the block is within reach along the ray, which most often a
-    /// part of the block tells.
+    /// True where every measurement of the block is for certain within reach along the ray. The reach
+    /// is that of the nearest one of a column on the longest ray, so a block at the very limit may be refused.
+    ///
+    /// With z in depth integers `F = (a·q·z + l)·z − 1`, and the surface is within ±δ of z where
+    /// `|F + a·q·δ²| ≤ F′·δ`. `FULL` where all pixels are measured.
     #[inline(always)]
     #[must_use]
-    pub fn all_along_ray(
+    pub fn all_along_ray<const FULL: bool>(
         &self,
         plane: &[u16],
         rays: &Rays,
@@ -100,23 +103,43 @@ impl Contact {
         let Some(patch) = Patch::new(plane, rays, at) else {
             return false;
         };
-        let test = Test::new(self, &patch, sphere);
-        let mut beyond = [0u32; BLOCK];
+        let (unit, u, v) = (patch.unit, patch.u, patch.v);
+        let most = |x: &[f32; BLOCK]| (x[0] * x[0]).max(x[BLOCK - 1] * x[BLOCK - 1]);
+        let q = most(u) + most(v) + 1.0;
+        let share = CERTAIN * self.along_ray / (unit * q.sqrt());
+        let (floor, per_z2) = (share * self.floor, share * self.per_z2 * unit * unit);
+        let (a, m) = (sphere.a * unit * unit, sphere.m * unit);
+        // what depends on the column or the row alone
+        let (mut aim, mut step) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let (mut auu, mut mu) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let (mut avv, mut mv) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let Some(nearest) = patch.nearest() else {
+            return false;
+        };
+        for i in 0..BLOCK {
+            let grown = per_z2 * (nearest[i] * nearest[i]);
+            let within = if grown > floor { grown } else { floor };
+            aim[i] = 1.0 - a * q * (within * within);
+            step[i] = if sphere.far { -within } else { within };
+            (auu[i], mu[i]) = (a * (u[i] * u[i]), m.x * u[i]);
+            (avv[i], mv[i]) = (a * (v[i] * v[i]) + a, m.y * v[i] + m.z);
+        }
+        let mut off = [f32::MIN; BLOCK];
         for j in 0..BLOCK {
             let Some(raw) = patch.row(j) else {
                 return false;
             };
-            let (mv, vv) = test.row(j);
             for i in 0..BLOCK {
-                let point = test.point(raw[i], i, mv, vv);
-                let off = !test.along_ray(&point) & (point.z > 0.0);
-                beyond[i] |= if off { u32::MAX } else { 0 };
-            }
-            if j % HALF == HALF - 1 && beyond.iter().fold(0, |any, b| any | b) != 0 {
-                return false;
+                let z = f32::from(raw[i]);
+                let (aqz, l) = ((auu[i] + avv[j]) * z, mu[i] + mv[j]);
+                let slope = aqz + l;
+                let value = slope * z - aim[i];
+                let beyond = value.abs() - step[i] * (slope + aqz);
+                let beyond = if FULL || raw[i] != 0 { beyond } else { -1.0 };
+                off[i] = if off[i] > beyond { off[i] } else { beyond };
             }
         }
-        true
+        off.iter().all(|&off| off <= -ROUNDED)
     }
 
     /// Pixels of the block at `at` whose measurement touches `sphere` on the side the camera sees.
@@ -148,8 +171,10 @@ impl Contact {
     }
 }
 
-/// Rows of a block after which it is asked whether all are within reach so far.
-const HALF: usize = BLOCK / 2;
+/// Share of the reach that leaves room for what [`Contact::all_along_ray`] takes for constant.
+const CERTAIN: f32 = 0.995;
+/// Rounding of F, which is of the order of 1.
+const ROUNDED: f32 = 1e-6;
 
 /// Rays and depth integers of a block.
 struct Patch<'a> {
@@ -179,6 +204,24 @@ impl<'a> Patch<'a> {
     fn row(&self, j: usize) -> Option<&[u16; BLOCK]> {
         self.rows.get(j * self.stride..)?.first_chunk()
     }
+
+    /// The smallest measured depth integer of each column; the largest there is where there is none.
+    #[inline(always)]
+    fn nearest(&self) -> Option<[f32; BLOCK]> {
+        // less one, so that what is not measured counts as farthest
+        let mut least = [u16::MAX; BLOCK];
+        for j in 0..BLOCK {
+            let row = self.row(j)?;
+            for i in 0..BLOCK {
+                least[i] = least[i].min(row[i].wrapping_sub(1));
+            }
+        }
+        let mut nearest = [0f32; BLOCK];
+        for i in 0..BLOCK {
+            nearest[i] = f32::from(least[i]) + 1.0;
+        }
+        Some(nearest)
+    }
 }
 
 /// One sphere against the pixels of one block: what does not change from pixel to pixel.
@@ -199,8 +242,6 @@ struct Test<'a> {
 
 /// One pixel in that test.
 struct Point {
-    /// Depth; 0 without a measurement.
-    z: f32,
     /// Squared length of the ray.
     q: f32,
     /// F at the point.
@@ -218,14 +259,18 @@ impl<'a> Test<'a> {
     #[inline(always)]
     fn new(contact: &Contact, patch: &Patch<'a>, sphere: &Sphere) -> Self {
         let (a, m) = (sphere.a, sphere.m);
+        let (mut uu, mut mu) = ([0f32; BLOCK], [0f32; BLOCK]);
+        for i in 0..BLOCK {
+            (uu[i], mu[i]) = (patch.u[i] * patch.u[i], m.x * patch.u[i]);
+        }
         Self {
             floor: contact.floor,
             per_z2: contact.per_z2,
             share: contact.along_ray,
             unit: patch.unit,
             v: patch.v,
-            uu: patch.u.map(|u| u * u),
-            mu: patch.u.map(|u| m.x * u),
+            uu,
+            mu,
             my: m.y,
             mz: m.z,
             a,
@@ -254,7 +299,6 @@ impl<'a> Test<'a> {
         };
         let aqz = self.a * q * z;
         Point {
-            z,
             q,
             value: (aqz + l) * z - 1.0,
             within: self.side * (aqz + aqz + l) * reach,
@@ -287,7 +331,11 @@ impl<'a> Test<'a> {
 /// Columns of bits (the low eight of each lane) as rows: bit `8·row + column`.
 #[inline(always)]
 fn transposed(columns: [u32; BLOCK]) -> u64 {
-    let mut x = u64::from_le_bytes(columns.map(|c| c as u8));
+    let mut bytes = [0; BLOCK];
+    for (byte, column) in bytes.iter_mut().zip(columns) {
+        *byte = column as u8;
+    }
+    let mut x = u64::from_le_bytes(bytes);
     // swaps 1×1, then 2×2, then 4×4 squares across the diagonal
     for (step, mask) in [
         (7, 0x00AA_00AA_00AA_00AA),
@@ -393,8 +441,11 @@ mod tests {
             let mut found = contact.pixels(&plane, &rays, at, &sphere);
             found.touching &= measured;
             found.along_ray &= measured;
-            let all = contact.all_along_ray(&plane, &rays, at, &sphere);
-            prop_assert_eq!(all, found.along_ray == measured);
+            let all = |contact: &Contact| match measured {
+                u64::MAX => contact.all_along_ray::<true>(&plane, &rays, at, &sphere),
+                _ => contact.all_along_ray::<false>(&plane, &rays, at, &sphere),
+            };
+            prop_assert!(!all(&contact) || found.along_ray == measured);
             for bit in 0..64 {
                 let (px, py) = (at.0 * 8 + bit % 8, at.1 * 8 + bit / 8);
                 let raw = plane[py * 64 + px];
