@@ -25,6 +25,7 @@ const SETTLED: u32 = 2;
 const ENOUGH: u32 = 4;
 /// Bits one more sphere costs in a block: its number and the boundary.
 const SPLIT_BITS: [u32; PALETTE] = [0, 26, 24, 24];
+
 /// The spheres of one block, most pixels first, [`NO_SPHERE`] behind the last.
 pub type Palette = [u16; PALETTE];
 
@@ -45,7 +46,12 @@ impl Candidates {
     #[inline(always)]
     pub fn add(&mut self, id: u16) {
         let bit = 1 << (id % 64);
-        let there = self.seen & bit != 0 && self.ids().contains(&id);
+        let mut there = false;
+        if self.seen & bit != 0 {
+            for &other in self.ids() {
+                there |= other == id;
+            }
+        }
         if id < NO_SPHERE && self.len < CANDIDATES && !there {
             self.ids[self.len] = id;
             self.len += 1;

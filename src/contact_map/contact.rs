@@ -150,14 +150,15 @@ impl Contact {
         let Some(patch) = Patch::new(plane, rays, at) else {
             return Touch::default();
         };
+        let Some(rows) = patch.block() else {
+            return Touch::default();
+        };
         let test = Test::new(self, &patch, sphere);
         // columns of bits: bit j of lane i is row j, column i
         let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
         for j in (0..BLOCK).rev() {
-            let Some(raw) = patch.row(j) else {
-                return Touch::default();
-            };
-            let (mv, vv) = test.row(j);
+            let raw = rows[j];
+            let (mv, vv) = (test.mv[j], test.vv[j]);
             for i in 0..BLOCK {
                 let point = test.point(raw[i], i, mv, vv);
                 along[i] = (along[i] + along[i]) | u32::from(test.along_ray(&point));
@@ -205,6 +206,16 @@ impl<'a> Patch<'a> {
         self.rows.get(j * self.stride..)?.first_chunk()
     }
 
+    /// All rows.
+    #[inline(always)]
+    fn block(&self) -> Option<[&[u16; BLOCK]; BLOCK]> {
+        let mut rows = [&[0; BLOCK]; BLOCK];
+        for (j, row) in rows.iter_mut().enumerate() {
+            *row = self.row(j)?;
+        }
+        Some(rows)
+    }
+
     /// The smallest measured depth integer of each column; the largest there is where there is none.
     #[inline(always)]
     fn nearest(&self) -> Option<[f32; BLOCK]> {
@@ -225,15 +236,15 @@ impl<'a> Patch<'a> {
 }
 
 /// One sphere against the pixels of one block: what does not change from pixel to pixel.
-struct Test<'a> {
+struct Test {
     floor: f32,
     per_z2: f32,
     share: f32,
     unit: f32,
-    v: &'a [f32; BLOCK],
     uu: [f32; BLOCK],
     mu: [f32; BLOCK],
-    my: f32,
+    vv: [f32; BLOCK],
+    mv: [f32; BLOCK],
     mz: f32,
     a: f32,
     side: f32,
@@ -255,23 +266,25 @@ struct Point {
     meets: bool,
 }
 
-impl<'a> Test<'a> {
+impl Test {
     #[inline(always)]
-    fn new(contact: &Contact, patch: &Patch<'a>, sphere: &Sphere) -> Self {
+    fn new(contact: &Contact, patch: &Patch<'_>, sphere: &Sphere) -> Self {
         let (a, m) = (sphere.a, sphere.m);
         let (mut uu, mut mu) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let (mut vv, mut mv) = ([0f32; BLOCK], [0f32; BLOCK]);
         for i in 0..BLOCK {
             (uu[i], mu[i]) = (patch.u[i] * patch.u[i], m.x * patch.u[i]);
+            (vv[i], mv[i]) = (patch.v[i] * patch.v[i], m.y * patch.v[i]);
         }
         Self {
             floor: contact.floor,
             per_z2: contact.per_z2,
             share: contact.along_ray,
             unit: patch.unit,
-            v: patch.v,
             uu,
             mu,
-            my: m.y,
+            vv,
+            mv,
             mz: m.z,
             a,
             side: if sphere.far { -1.0 } else { 1.0 },
@@ -279,29 +292,25 @@ impl<'a> Test<'a> {
         }
     }
 
-    /// m.y·v and v² of row `j`.
-    #[inline(always)]
-    fn row(&self, j: usize) -> (f32, f32) {
-        (self.my * self.v[j], self.v[j] * self.v[j])
-    }
-
     #[inline(always)]
     fn point(&self, raw: u16, i: usize, mv: f32, vv: f32) -> Point {
         let z = f32::from(raw) * self.unit;
         // the decoder's arithmetic: whether the ray meets the sphere must not differ
         let (q, l) = (self.uu[i] + vv + 1.0, self.mu[i] + mv + self.mz);
-        let meets = l * l + 4.0 * self.a * q >= 0.0;
+        let aq = self.a * q;
+        let meets = l * l + 4.0 * aq >= 0.0;
         let grown = self.per_z2 * (z * z);
         let reach = if grown > self.floor {
             grown
         } else {
             self.floor
         };
-        let aqz = self.a * q * z;
+        let aqz = aq * z;
+        let slope = aqz + l;
         Point {
             q,
-            value: (aqz + l) * z - 1.0,
-            within: self.side * (aqz + aqz + l) * reach,
+            value: slope * z - 1.0,
+            within: (slope + aqz) * reach,
             reach,
             squared: reach * reach,
             meets,
@@ -313,7 +322,7 @@ impl<'a> Test<'a> {
     #[inline(always)]
     fn within(&self, p: &Point, share: f32) -> bool {
         let value = p.value + self.a * share * share * p.squared;
-        value * value * p.q <= share * share * (p.within * p.within.abs())
+        value * value * p.q <= self.side * share * share * (p.within * p.within.abs())
     }
 
     #[inline(always)]
