@@ -46,7 +46,12 @@ impl Candidates {
     #[inline(always)]
     pub fn add(&mut self, id: u16) {
         let bit = 1 << (id % 64);
-        let there = self.seen & bit != 0 && self.ids().contains(&id);
+        let mut there = false;
+        if self.seen & bit != 0 {
+            for &other in self.ids() {
+                there |= other == id;
+            }
+        }
         if id < NO_SPHERE && self.len < CANDIDATES && !there {
             self.ids[self.len] = id;
             self.len += 1;
@@ -94,6 +99,15 @@ impl BlockContacts {
             missing: valid,
             rough: valid,
             ..Self::default()
+        }
+    }
+
+    /// What the first sphere touches where it is the only one.
+    #[inline(always)]
+    fn first_touch(&self, valid: u64) -> Touch {
+        Touch {
+            touching: self.pixels[0],
+            along_ray: valid & !self.rough,
         }
     }
 
@@ -202,8 +216,11 @@ impl Block<'_> {
     pub fn hold(&self, first: u16) -> (BlockContacts, bool) {
         // most blocks lie within reach of their sphere along the ray: the cheaper question first
         if let Some(Some(sphere)) = self.spheres.get(usize::from(first)) {
-            let contact = self.contact;
-            let all = contact.all_along_ray(self.plane, self.rays, self.at, sphere);
+            let (contact, plane, rays, at) = (self.contact, self.plane, self.rays, self.at);
+            let all = match self.valid {
+                u64::MAX => contact.all_along_ray::<true>(plane, rays, at, sphere),
+                _ => contact.all_along_ray::<false>(plane, rays, at, sphere),
+            };
             if all && self.valid.count_ones() > 8 {
                 return (self.whole(first), true);
             }
@@ -224,37 +241,102 @@ impl Block<'_> {
         held: &BlockContacts,
         gather: impl Fn(&mut Candidates, bool),
     ) -> BlockContacts {
-        let valid = self.valid;
-        let own = Touch {
-            touching: held.pixels[0],
-            along_ray: valid & !held.rough,
-        };
-        let mut candidates = Candidates::default();
-        let mut touch = [Touch::default(); CANDIDATES];
-        let (mut beyond, mut apart) = (valid, valid);
+        let own = held.first_touch(self.valid);
+        let mut trial = Trial::new(self.valid);
         for around in [false, true] {
-            let known = candidates.len;
-            gather(&mut candidates, around);
-            for (k, touch) in touch
-                .iter_mut()
-                .enumerate()
-                .take(candidates.len)
-                .skip(known)
-            {
-                let id = candidates.ids[k];
-                *touch = if id == first { own } else { self.touch(id) };
-                if self.settles(*touch) {
-                    return self.alone(id, *touch);
+            let known = trial.candidates.len;
+            gather(&mut trial.candidates, around);
+            for k in known..trial.candidates.len {
+                // those around until enough is explained
+                if around && trial.beyond.count_ones() <= ENOUGH {
+                    trial.candidates.len = k;
+                    break;
                 }
-                beyond &= !touch.along_ray;
-                apart &= !touch.touching;
+                let id = trial.candidates.ids[k];
+                let touch = if id == first { own } else { self.touch(id) };
+                if self.settles(touch) {
+                    return self.alone(id, touch);
+                }
+                trial.put(k, touch);
             }
             // the spheres that were here before still divide it among them
-            if beyond.count_ones() <= ENOUGH || (apart == 0 && beyond.count_ones() <= 2 * ENOUGH) {
+            let beyond = trial.beyond.count_ones();
+            if beyond <= ENOUGH || (trial.apart == 0 && beyond <= 2 * ENOUGH) {
                 break;
             }
         }
-        cover(valid, candidates.ids(), &touch)
+        trial.cover(self.valid)
+    }
+
+    /// Divides the pixels among the `fresh` spheres and those of the block, which are as they were
+    /// when it was divided.
+    #[inline(always)]
+    pub fn extend(&self, contacts: &mut BlockContacts, fresh: &Candidates) {
+        if fresh.len == 0 {
+            return;
+        }
+        let mut trial = Trial::new(self.valid);
+        let alone = contacts.palette[1] == NO_SPHERE;
+        for id in contacts.palette {
+            trial.candidates.add(id);
+        }
+        for k in 0..trial.candidates.len {
+            let touch = if alone {
+                contacts.first_touch(self.valid)
+            } else {
+                self.touch(trial.candidates.ids[k])
+            };
+            trial.put(k, touch);
+        }
+        for &id in fresh.ids() {
+            let k = trial.candidates.len;
+            trial.candidates.add(id);
+            if trial.candidates.len > k {
+                let touch = self.touch(id);
+                if self.settles(touch) {
+                    *contacts = self.alone(id, touch);
+                    return;
+                }
+                trial.put(k, touch);
+            }
+        }
+        *contacts = trial.cover(self.valid);
+    }
+}
+
+/// Candidates and what they touch.
+struct Trial {
+    candidates: Candidates,
+    touch: [Touch; CANDIDATES],
+    /// Pixels that none of them reaches along the ray.
+    beyond: u64,
+    /// Pixels that none of them touches.
+    apart: u64,
+}
+
+impl Trial {
+    #[inline(always)]
+    fn new(valid: u64) -> Self {
+        Self {
+            candidates: Candidates::default(),
+            touch: [Touch::default(); CANDIDATES],
+            beyond: valid,
+            apart: valid,
+        }
+    }
+
+    /// What candidate `k` touches.
+    #[inline(always)]
+    fn put(&mut self, k: usize, touch: Touch) {
+        self.touch[k] = touch;
+        self.beyond &= !touch.along_ray;
+        self.apart &= !touch.touching;
+    }
+
+    /// The pixels, divided among the candidates.
+    #[inline(always)]
+    fn cover(&self, valid: u64) -> BlockContacts {
+        cover(valid, self.candidates.ids(), &self.touch)
     }
 }
 

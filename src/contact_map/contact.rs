@@ -86,11 +86,15 @@ impl Contact {
         }
     }
 
-    /// True where every measurement of the block is within reach along the ray, which most often a
-    /// part of the block tells.
+    /// True where every measurement of the block is for certain within reach along the ray. The reach
+    /// is that of the nearest one of a column on the longest ray, so a block at the very limit may be
+    /// refused.
+    ///
+    /// With z in depth integers `F = (a·q·z + l)·z − 1`, and the surface is within ±δ of z where
+    /// `|F + a·q·δ²| ≤ F′·δ`. `FULL` where all pixels are measured.
     #[inline(always)]
     #[must_use]
-    pub fn all_along_ray(
+    pub fn all_along_ray<const FULL: bool>(
         &self,
         plane: &[u16],
         rays: &Rays,
@@ -100,23 +104,44 @@ impl Contact {
         let Some(patch) = Patch::new(plane, rays, at) else {
             return false;
         };
-        let test = Test::new(self, &patch, sphere);
-        let mut beyond = [0u32; BLOCK];
+        let (unit, u, v) = (patch.unit, patch.u, patch.v);
+        let most = |x: &[f32; BLOCK]| (x[0] * x[0]).max(x[BLOCK - 1] * x[BLOCK - 1]);
+        let q = most(u) + most(v) + 1.0;
+        let share = CERTAIN * self.along_ray / (unit * q.sqrt());
+        let (floor, per_z2) = (share * self.floor, share * self.per_z2 * unit * unit);
+        let (a, m) = (sphere.a * unit * unit, sphere.m * unit);
+        // what depends on the column or the row alone
+        let (mut square, mut step) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let (mut auu, mut mu) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let (mut avv, mut mv) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let Some(nearest) = patch.nearest() else {
+            return false;
+        };
+        for i in 0..BLOCK {
+            let grown = per_z2 * (nearest[i] * nearest[i]);
+            let within = if grown > floor { grown } else { floor };
+            square[i] = within * within;
+            step[i] = if sphere.far { -within } else { within };
+            (auu[i], mu[i]) = (a * (u[i] * u[i]), m.x * u[i]);
+            (avv[i], mv[i]) = (a * (v[i] * v[i]) + a, m.y * v[i] + m.z);
+        }
+        let mut off = [f32::MIN; BLOCK];
         for j in 0..BLOCK {
             let Some(raw) = patch.row(j) else {
                 return false;
             };
-            let (mv, vv) = test.row(j);
             for i in 0..BLOCK {
-                let point = test.point(raw[i], i, mv, vv);
-                let off = !test.along_ray(&point) & (point.z > 0.0);
-                beyond[i] |= if off { u32::MAX } else { 0 };
-            }
-            if j % HALF == HALF - 1 && beyond.iter().fold(0, |any, b| any | b) != 0 {
-                return false;
+                let z = f32::from(raw[i]);
+                let (aq, l) = (auu[i] + avv[j], mu[i] + mv[j]);
+                let aqz = aq * z;
+                let slope = aqz + l;
+                let value = (slope * z - 1.0) + aq * square[i];
+                let beyond = value.abs() - step[i] * (slope + aqz);
+                let beyond = if FULL || raw[i] != 0 { beyond } else { -1.0 };
+                off[i] = if off[i] > beyond { off[i] } else { beyond };
             }
         }
-        true
+        off.iter().all(|&off| off <= -ROUNDED)
     }
 
     /// Pixels of the block at `at` whose measurement touches `sphere` on the side the camera sees.
@@ -127,14 +152,15 @@ impl Contact {
         let Some(patch) = Patch::new(plane, rays, at) else {
             return Touch::default();
         };
+        let Some(rows) = patch.block() else {
+            return Touch::default();
+        };
         let test = Test::new(self, &patch, sphere);
         // columns of bits: bit j of lane i is row j, column i
         let (mut near, mut along) = ([0u32; BLOCK], [0u32; BLOCK]);
         for j in (0..BLOCK).rev() {
-            let Some(raw) = patch.row(j) else {
-                return Touch::default();
-            };
-            let (mv, vv) = test.row(j);
+            let raw = rows[j];
+            let (mv, vv) = (test.mv[j], test.vv[j]);
             for i in 0..BLOCK {
                 let point = test.point(raw[i], i, mv, vv);
                 along[i] = (along[i] + along[i]) | u32::from(test.along_ray(&point));
@@ -148,8 +174,10 @@ impl Contact {
     }
 }
 
-/// Rows of a block after which it is asked whether all are within reach so far.
-const HALF: usize = BLOCK / 2;
+/// Share of the reach that leaves room for rounding in [`Contact::all_along_ray`].
+const CERTAIN: f32 = 0.995;
+/// Rounding of F, which is of the order of 1.
+const ROUNDED: f32 = 1e-6;
 
 /// Rays and depth integers of a block.
 struct Patch<'a> {
@@ -179,18 +207,46 @@ impl<'a> Patch<'a> {
     fn row(&self, j: usize) -> Option<&[u16; BLOCK]> {
         self.rows.get(j * self.stride..)?.first_chunk()
     }
+
+    /// All rows.
+    #[inline(always)]
+    fn block(&self) -> Option<[&[u16; BLOCK]; BLOCK]> {
+        let mut rows = [&[0; BLOCK]; BLOCK];
+        for (j, row) in rows.iter_mut().enumerate() {
+            *row = self.row(j)?;
+        }
+        Some(rows)
+    }
+
+    /// The smallest measured depth integer of each column; the largest there is where there is none.
+    #[inline(always)]
+    fn nearest(&self) -> Option<[f32; BLOCK]> {
+        // less one, so that what is not measured counts as farthest
+        let mut least = [u16::MAX; BLOCK];
+        for j in 0..BLOCK {
+            let row = self.row(j)?;
+            for i in 0..BLOCK {
+                least[i] = least[i].min(row[i].wrapping_sub(1));
+            }
+        }
+        let mut nearest = [0f32; BLOCK];
+        for i in 0..BLOCK {
+            nearest[i] = f32::from(least[i]) + 1.0;
+        }
+        Some(nearest)
+    }
 }
 
 /// One sphere against the pixels of one block: what does not change from pixel to pixel.
-struct Test<'a> {
+struct Test {
     floor: f32,
     per_z2: f32,
     share: f32,
     unit: f32,
-    v: &'a [f32; BLOCK],
     uu: [f32; BLOCK],
     mu: [f32; BLOCK],
-    my: f32,
+    vv: [f32; BLOCK],
+    mv: [f32; BLOCK],
     mz: f32,
     a: f32,
     side: f32,
@@ -199,8 +255,6 @@ struct Test<'a> {
 
 /// One pixel in that test.
 struct Point {
-    /// Depth; 0 without a measurement.
-    z: f32,
     /// Squared length of the ray.
     q: f32,
     /// F at the point.
@@ -214,19 +268,25 @@ struct Point {
     meets: bool,
 }
 
-impl<'a> Test<'a> {
+impl Test {
     #[inline(always)]
-    fn new(contact: &Contact, patch: &Patch<'a>, sphere: &Sphere) -> Self {
+    fn new(contact: &Contact, patch: &Patch<'_>, sphere: &Sphere) -> Self {
         let (a, m) = (sphere.a, sphere.m);
+        let (mut uu, mut mu) = ([0f32; BLOCK], [0f32; BLOCK]);
+        let (mut vv, mut mv) = ([0f32; BLOCK], [0f32; BLOCK]);
+        for i in 0..BLOCK {
+            (uu[i], mu[i]) = (patch.u[i] * patch.u[i], m.x * patch.u[i]);
+            (vv[i], mv[i]) = (patch.v[i] * patch.v[i], m.y * patch.v[i]);
+        }
         Self {
             floor: contact.floor,
             per_z2: contact.per_z2,
             share: contact.along_ray,
             unit: patch.unit,
-            v: patch.v,
-            uu: patch.u.map(|u| u * u),
-            mu: patch.u.map(|u| m.x * u),
-            my: m.y,
+            uu,
+            mu,
+            vv,
+            mv,
             mz: m.z,
             a,
             side: if sphere.far { -1.0 } else { 1.0 },
@@ -234,30 +294,25 @@ impl<'a> Test<'a> {
         }
     }
 
-    /// m.y·v and v² of row `j`.
-    #[inline(always)]
-    fn row(&self, j: usize) -> (f32, f32) {
-        (self.my * self.v[j], self.v[j] * self.v[j])
-    }
-
     #[inline(always)]
     fn point(&self, raw: u16, i: usize, mv: f32, vv: f32) -> Point {
         let z = f32::from(raw) * self.unit;
         // the decoder's arithmetic: whether the ray meets the sphere must not differ
         let (q, l) = (self.uu[i] + vv + 1.0, self.mu[i] + mv + self.mz);
-        let meets = l * l + 4.0 * self.a * q >= 0.0;
+        let aq = self.a * q;
+        let meets = l * l + 4.0 * aq >= 0.0;
         let grown = self.per_z2 * (z * z);
         let reach = if grown > self.floor {
             grown
         } else {
             self.floor
         };
-        let aqz = self.a * q * z;
+        let aqz = aq * z;
+        let slope = aqz + l;
         Point {
-            z,
             q,
-            value: (aqz + l) * z - 1.0,
-            within: self.side * (aqz + aqz + l) * reach,
+            value: slope * z - 1.0,
+            within: (slope + aqz) * reach,
             reach,
             squared: reach * reach,
             meets,
@@ -269,7 +324,7 @@ impl<'a> Test<'a> {
     #[inline(always)]
     fn within(&self, p: &Point, share: f32) -> bool {
         let value = p.value + self.a * share * share * p.squared;
-        value * value * p.q <= share * share * (p.within * p.within.abs())
+        value * value * p.q <= self.side * share * share * (p.within * p.within.abs())
     }
 
     #[inline(always)]
@@ -287,7 +342,11 @@ impl<'a> Test<'a> {
 /// Columns of bits (the low eight of each lane) as rows: bit `8·row + column`.
 #[inline(always)]
 fn transposed(columns: [u32; BLOCK]) -> u64 {
-    let mut x = u64::from_le_bytes(columns.map(|c| c as u8));
+    let mut bytes = [0; BLOCK];
+    for (byte, column) in bytes.iter_mut().zip(columns) {
+        *byte = column as u8;
+    }
+    let mut x = u64::from_le_bytes(bytes);
     // swaps 1×1, then 2×2, then 4×4 squares across the diagonal
     for (step, mask) in [
         (7, 0x00AA_00AA_00AA_00AA),
@@ -393,8 +452,12 @@ mod tests {
             let mut found = contact.pixels(&plane, &rays, at, &sphere);
             found.touching &= measured;
             found.along_ray &= measured;
-            let all = contact.all_along_ray(&plane, &rays, at, &sphere);
-            prop_assert_eq!(all, found.along_ray == measured);
+            let all = match measured {
+                u64::MAX => contact.all_along_ray::<true>(&plane, &rays, at, &sphere),
+                _ => contact.all_along_ray::<false>(&plane, &rays, at, &sphere),
+            };
+            // far inside the reach of the nearest point: that must be seen
+            let mut inside = true;
             for bit in 0..64 {
                 let (px, py) = (at.0 * 8 + bit % 8, at.1 * 8 + bit / 8);
                 let raw = plane[py * 64 + px];
@@ -411,8 +474,14 @@ mod tests {
                 let (u, v) = (rays.u[px], rays.v[py]);
                 let q = u * u + v * v + 1.0;
                 let off = (1.0 / f64::from(sphere.inverse_depth(u, v, q)) - z).abs() * f64::from(q).sqrt();
+                let nearest = (0..64).map(|k| plane[(at.1 * 8 + k / 8) * 64 + at.0 * 8 + k % 8]).filter(|&raw| raw != 0).min();
+                inside &= off <= 0.8 * share * distance.at(f64::from(nearest.unwrap_or(0)) * 1e-3);
+                if all {
+                    prop_assert!(off <= share * distance.at(z) + 2.0 * slack, "{} m off along the ray of {}", off, distance.at(z));
+                }
                 // near the outline of a ball both intersections may be in reach: not counted
                 let clear = f64::from(2.0 * sphere.a * q) * z + l;
+                inside &= clear.abs() > 0.5 * l.abs();
                 if (d - distance.at(z)).abs() > slack && off < 3.0 * distance.at(z) && clear.abs() > 0.2 * l.abs() {
                     let touches = d <= distance.at(z);
                     prop_assert_eq!(found.touching >> bit & 1 != 0, touches, "{} m off of {}", d, distance.at(z));
@@ -421,6 +490,7 @@ mod tests {
                     prop_assert_eq!(found.along_ray >> bit & 1 != 0, off <= share * distance.at(z), "{} m off along the ray of {}", off, distance.at(z));
                 }
             }
+            prop_assert!(all || !inside);
         }
     }
 }

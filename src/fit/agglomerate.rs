@@ -79,6 +79,9 @@ impl Ord for Union {
     }
 }
 
+/// Patches of which neither is this near to the other's surface (mean square, contact distances)
+/// are not united: one surface for both would have to leave them as far.
+const APART: f64 = 12.0;
 /// Pairs of patches priced between two looks at the clock.
 const STRIDE: u32 = 128;
 
@@ -272,6 +275,10 @@ impl Agglomeration {
 
     fn propose(&mut self, a: u32, b: u32) {
         let (pa, pb) = (&self.patches[a as usize], &self.patches[b as usize]);
+        let apart = |p: &Patch, q: &Patch| p.moments.misfit(&q.fit.sphere) > APART;
+        if apart(pa, pb) && apart(pb, pa) {
+            return;
+        }
         if let Some((_, bits)) = pa.on_one(pb, &pa.moments.union(&pb.moments)) {
             let gain = pa.bits + pb.bits - bits;
             if gain > 0.0 {

@@ -113,6 +113,17 @@ impl View<'_> {
         self.surfaces.get(usize::from(id)).copied().flatten()
     }
 
+    /// True where none of these spheres is another surface than before, or gone.
+    #[inline(always)]
+    fn are_as_before(&self, fresh: &[bool], palette: &Palette) -> bool {
+        let mut same = true;
+        for &id in palette {
+            let there = matches!(self.surfaces.get(usize::from(id)), Some(Some(_)));
+            same &= id == NO_SPHERE || (there && !is_fresh(fresh, id));
+        }
+        same
+    }
+
     /// The block at column `at.0` and row `at.1`.
     #[inline(always)]
     fn block(&self, at: (usize, usize), valid: u64) -> Block<'_> {
@@ -183,20 +194,38 @@ fn divide_row<'a>(view: &View<'a>, by: usize, row: &mut [BlockContacts], pending
         let block = view.block((bx, by), view.valid[k]);
         let now = contacts.palette;
         let first = view.likely(k, now[0]);
-        let held = if view.fresh.is_some() {
-            let (held, done) = block.hold(first);
-            if done {
-                *contacts = held;
+        let held = match view.fresh {
+            Some(fresh) if now[0] != NO_SPHERE && view.are_as_before(fresh, &now) => {
+                let mut list = Candidates::default();
+                for id in view.spheres[k] {
+                    if is_fresh(fresh, id) {
+                        list.add(id);
+                    }
+                }
+                candidates(view, first, &now, (bx, by), true, &mut list);
+                block.extend(contacts, &list);
                 continue;
             }
-            held
-        } else {
-            *contacts
+            Some(_) => {
+                let (held, done) = block.hold(first);
+                if done {
+                    *contacts = held;
+                    continue;
+                }
+                held
+            }
+            None => *contacts,
         };
         *contacts = block.divide(first, &held, |list, around| {
             candidates(view, first, &now, (bx, by), around, list);
         });
     }
+}
+
+/// True where slot `id` is marked in `fresh`.
+#[inline(always)]
+fn is_fresh(fresh: &[bool], id: u16) -> bool {
+    fresh.get(usize::from(id)).is_some_and(|f| *f)
 }
 
 /// Adds the spheres worth trying for a block: `first`, its own now and before, or those of the blocks
@@ -245,7 +274,7 @@ fn candidates(
                 // the others have been tried
                 Some(fresh) => {
                     for id in view.spheres[n] {
-                        if fresh.get(usize::from(id)).is_some_and(|f| *f) {
+                        if is_fresh(fresh, id) {
                             list.add(id);
                         }
                     }

@@ -288,7 +288,10 @@ fn local_sums<const FULL: bool>(
     let (step_u, step_v) = ((u[7] - u[0]) / 7.0, (v[7] - v[0]) / 7.0);
     let (w0, u0, v0) = (1.0 / z0, 0.5 * (u[3] + u[4]), 0.5 * (v[3] + v[4]));
     let s0 = (u0 * u0 + v0 * v0 + 1.0) * z0;
-    let uu1 = u.map(|u| u * u + 1.0);
+    let mut uu1 = [0f32; BLOCK];
+    for (uu1, u) in uu1.iter_mut().zip(u) {
+        *uu1 = u * u + 1.0;
+    }
     // columns: sums over the rows, v in steps
     let zero = [0f32; BLOCK];
     let (mut n, mut nv, mut nvv, mut total) = (zero, zero, zero, zero);
@@ -348,11 +351,15 @@ fn local_sums<const FULL: bool>(
         sum_of(csw),
         sum_of(cww),
     ];
-    Some((
-        f64::from(sum_of(total) / count),
-        [u0, v0, s0, w0].map(f64::from),
-        sums.map(f64::from),
-    ))
+    // not `map`, which is compiled without the caller's vector instructions
+    let (mut center, mut wide) = ([0.0; 4], [0.0; 15]);
+    for (to, from) in center.iter_mut().zip([u0, v0, s0, w0]) {
+        *to = f64::from(from);
+    }
+    for (to, from) in wide.iter_mut().zip(sums) {
+        *to = f64::from(from);
+    }
+    Some((f64::from(sum_of(total) / count), center, wide))
 }
 
 /// Moments of the block `at` column and row of a padded plane of depth integers (0 = invalid), given
@@ -396,7 +403,7 @@ pub fn of_block(
         lww,
     ] = local;
     let shift = |xy: f64, x: f64, y: f64, x0: f64, y0: f64| xy + x0 * y + y0 * x + n * x0 * y0;
-    let sums = [
+    let mut sums = [
         n,
         lu + n * u0,
         lv + n * v0,
@@ -414,10 +421,10 @@ pub fn of_block(
         shift(lww, lw, lw, w0, w0),
     ];
     let omega = weight(z0);
-    Moments {
-        count: n,
-        sums: sums.map(|s| s * omega),
+    for sum in &mut sums {
+        *sum *= omega;
     }
+    Moments { count: n, sums }
 }
 
 #[cfg(test)]

@@ -44,7 +44,7 @@ impl Workspace {
             sums: Vec::with_capacity(spheres),
             changed: Vec::with_capacity(spheres),
             spheres: Vec::with_capacity(spheres),
-            forms: Vec::with_capacity(spheres),
+            forms: Vec::with_capacity(spheres + 1),
             used: Vec::with_capacity(spheres),
             ..Self::default()
         }
@@ -153,6 +153,7 @@ fn choose(
         Some(patch) => form_of(&patch.fit.sphere),
         None => NO_FORM,
     }));
+    work.forms.push(NO_FORM);
     let choice = Choice {
         columns: rays.block_columns,
         valid: &blocks.valid,
@@ -171,6 +172,7 @@ struct Choice<'a> {
     valid: &'a [u64],
     moments: &'a [Moments],
     before: &'a [Palette],
+    /// Those of the slots, and [`NO_FORM`] behind them.
     forms: &'a [[f64; 4]],
     changed: &'a [bool],
     limit: f64,
@@ -185,7 +187,9 @@ const _: () = assert!(PALETTE - 1 + 4 <= OTHERS);
 impl Choice<'_> {
     #[inline(always)]
     fn form(&self, id: u16) -> [f64; 4] {
-        self.forms.get(usize::from(id)).copied().unwrap_or(NO_FORM)
+        // no branch: which of them are none cannot be foreseen
+        let last = self.forms.len() - 1;
+        self.forms[usize::from(id).min(last)]
     }
 
     /// The best of the spheres around block `k` where it is better than `best`.
