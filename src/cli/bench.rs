@@ -245,6 +245,33 @@ impl Warm {
         })
     }
 
+    /// Decodes the payloads, for the time it takes and then for what came back. After all of them are
+    /// written, since a sender reads none: what it did between two frames would push the encoder's
+    /// memory out of the caches, and the other way round.
+    fn read(&mut self, camera: &Camera, frames: &[DepthFrame]) -> Result<(), Failure> {
+        let failed = |error| Failure::new(Kind::Failure, error);
+        let payloads = std::mem::take(&mut self.payloads);
+        let mut decoder = Decoder::new();
+        for (n, payload) in payloads.iter().enumerate() {
+            let start = Monotonic.now_ns();
+            decoder.decode(payload).map_err(failed)?;
+            if n > 0 {
+                self.decode.record_ns(Monotonic.now_ns() - start);
+            }
+        }
+        let validity = Validity::new(camera);
+        let mut decoder = Decoder::new();
+        for (n, payload) in (0..).zip(&payloads) {
+            let decoded = decoder.decode(payload).map_err(failed)?;
+            if n > 0 {
+                let frame = &frames[forth_and_back(n, frames.len())];
+                self.compare(frame, &decoded.depth_m, &validity, camera.depth_unit_m);
+            }
+        }
+        self.payloads = payloads;
+        Ok(())
+    }
+
     /// Compares what was measured with what came back.
     fn compare(&mut self, frame: &DepthFrame, depth_m: &[f32], validity: &Validity, unit: f64) {
         for (&raw, &z) in frame.depth.iter().zip(depth_m) {
@@ -274,10 +301,8 @@ fn warm(
     progress: &dyn Fn(),
 ) -> Result<Warm, Failure> {
     let mut warm = Warm::new()?;
-    let validity = Validity::new(camera);
     let (mut model, encode) = engine::stages(camera, engine)?;
     let mut encode = encode.unsampled();
-    let mut decoder = Decoder::new();
     let (mut saint, mut encoded) = (SaintFrame::default(), EncodedFrame::default());
     // the first frame is a cold one: it warms up and is not counted
     for n in 0..=count {
@@ -298,10 +323,6 @@ fn warm(
             .encode(frame, &saint, &report, &mut encoded)
             .map_err(stage_failed)?;
         let coded = Monotonic.now_ns();
-        let decoded = decoder
-            .decode(&encoded.payload)
-            .map_err(|error| Failure::new(Kind::Failure, error))?;
-        let end = Monotonic.now_ns();
         warm.payloads.push(encoded.payload.clone());
         if n == 0 {
             continue;
@@ -309,7 +330,6 @@ fn warm(
         progress();
         warm.model.record_ns(modelled - start);
         warm.encode.record_ns(coded - modelled);
-        warm.decode.record_ns(end - coded);
         warm.both.record_ns(coded - start);
         warm.frames += 1;
         warm.points += u64::from(report.points);
@@ -318,8 +338,8 @@ fn warm(
         warm.spheres += u64::from(report.spheres);
         warm.bytes += encoded.payload.len() as u64;
         warm.spent += coding.spent;
-        warm.compare(frame, &decoded.depth_m, &validity, camera.depth_unit_m);
     }
+    warm.read(camera, frames)?;
     Ok(warm)
 }
 

@@ -157,7 +157,7 @@ impl<'a> Candidates<'a> {
     /// Which of past, west and north hold it.
     #[inline(always)]
     fn votes(&self, id: u16) -> usize {
-        let holds = |source: usize| self.sources[source].iter().any(|&held| held == id);
+        let holds = |source: usize| self.sources[source].contains(&id);
         let vote = |source: usize| usize::from(holds(source)) << source;
         vote(0) | vote(1) | vote(2)
     }
