@@ -3,7 +3,8 @@
 //! The fit gives a block its spheres. Which of them a pixel gets is a matter of bits and error: a
 //! boundary between two spheres that both explain the noise runs where it costs least.
 
-use super::label_map::{Choice, LabelMap};
+use super::label_map::LabelMap;
+use super::labels::Choice;
 use super::mask::{QUAD, extent};
 use super::surface::{self, BEYOND, Depths, Surface, Surfaces, is_real, packed, packed_row};
 use crate::contact_map::assign::PALETTE;

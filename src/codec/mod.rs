@@ -2,10 +2,11 @@
 //!
 //! Reading order, that of the payload: [`header`]; section *blocks*, which spheres a block touches
 //! ([`mask`] for its fill, [`palettes`]); section *spheres* ([`sphere_table`]); section *pixels*,
-//! which of them each pixel touches ([`mask`], [`label_map`], from the last frame by [`flow`]);
-//! section *residual*, what spheres do not give back ([`residual`] in [`bins`]). Each is a model
+//! which of them each pixel touches ([`mask`] in a [`bitmap`], [`labels`] in a [`label_map`], from the
+//! last frame by [`flow`]);
+//! section *residual*, what spheres do not give back ([`residual`] in [`bins`] and [`cells`]). Each is a model
 //! written once for both directions over the [`range_coder`] and the [`mixer`]; [`encoder`] (with
-//! `palette_choice` and `choice`) and [`decoder`] walk them in the same order.
+//! `palette_choice` and `choice`) and [`decoder`] (with `output`) walk them in the same order.
 
 pub mod merged;
 pub mod polar;
@@ -23,10 +24,12 @@ pub mod encoder;
 pub mod flow;
 pub mod header;
 pub mod label_map;
+pub mod labels;
 pub mod mask;
 mod mask_choice;
 pub mod mixer;
 pub mod options;
+mod output;
 mod palette_choice;
 pub mod palettes;
 pub mod payload;

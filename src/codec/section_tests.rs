@@ -2,7 +2,8 @@
 
 use super::choice::{Errors, MISS_COST};
 use super::flow::{self, Past, Shift};
-use super::label_map::{AsRead, Choice, LabelMap};
+use super::label_map::LabelMap;
+use super::labels::{AsRead, Choice};
 use super::mask::{self, Fill, Mask, QUADS, quad_pixels};
 use super::palette_choice;
 use super::range_coder::{self, Coder, Decoder, Encoder};

@@ -4,7 +4,8 @@ use super::bins::{Bins, NoSuchInteger};
 use super::bitmap::Bitmap;
 use super::cells::{Cell, Cells};
 use super::flow::{self, Past, Shift};
-use super::label_map::{self, Choice, LabelMap};
+use super::label_map::LabelMap;
+use super::labels::{self, Choice};
 use super::mask::{self, Fill, Mask};
 use super::palettes::{self, NewNumbers, NoSuchSphere};
 use super::range_coder::Coder;
@@ -25,7 +26,7 @@ pub(super) struct Models {
     pub fills: mask::FillModels,
     pub palettes: palettes::Models,
     pub mask: mask::Models,
-    pub labels: label_map::Models,
+    pub labels: labels::Models,
     pub spheres: sphere_table::Models,
     pub residual: residual::Models,
 }
@@ -376,7 +377,7 @@ fn code_mask<C: Coder>(
 #[allow(clippy::too_many_arguments)] // one section's whole state
 pub(super) fn code_labels<C: Coder, W: Choice>(
     coder: &mut C,
-    models: &mut label_map::Models,
+    models: &mut labels::Models,
     rays: &Rays,
     reach: &Reach,
     mask: Option<&Mask>,
@@ -388,11 +389,11 @@ pub(super) fn code_labels<C: Coder, W: Choice>(
     hits: &mut [u64],
 ) {
     if mask.is_some() {
-        label_map::code::<false, C, W>(
+        labels::code::<false, C, W>(
             coder, models, rays, reach, mask, map, past, surfaces, tiles, choice, hits,
         );
     } else {
-        label_map::code::<true, C, W>(
+        labels::code::<true, C, W>(
             coder, models, rays, reach, None, map, past, surfaces, tiles, choice, hits,
         );
     }
