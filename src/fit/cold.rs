@@ -25,6 +25,9 @@ const FALLBACK_BITS: f64 = 5.0;
 const ATOM_POINTS: u32 = 8;
 /// Fewest points for which a new sphere is worth its bits.
 const SPHERE_POINTS: f64 = 25.0;
+/// The same where spheres of the last frame share most blocks out: what is smaller comes again in
+/// the next round if it is still left over.
+const FIRST_POINTS: f64 = 40.0;
 /// The same where time was up before all were united: coding many small ones takes longer than it
 /// saves.
 const HASTY_POINTS: f64 = 100.0;
@@ -45,6 +48,8 @@ pub(super) struct Problem<'a> {
     pub max_spheres: usize,
     /// Number of the frame, where the spheres already there take part.
     pub turn: Option<u32>,
+    /// True where the last frame's spheres have been tried.
+    pub warm: bool,
 }
 
 /// An atom: which block, which of its pixels, which cell.
@@ -444,7 +449,13 @@ fn settle(
         }
     }
     // unions of atoms alone: new spheres, largest first
-    let least = if !united { HASTY_POINTS } else { SPHERE_POINTS };
+    let least = if !united {
+        HASTY_POINTS
+    } else if problem.turn.is_some() && problem.warm {
+        FIRST_POINTS
+    } else {
+        SPHERE_POINTS
+    };
     work.roots.clear();
     for k in 0..work.atoms.len() as u32 {
         let root = graph.root(k);

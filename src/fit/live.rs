@@ -137,9 +137,6 @@ pub(super) const SUM_TO_REACH: f32 =
 /// Blocks offered to their neighbours' spheres between two looks at the clock.
 const OFFERS: u32 = 128;
 
-/// A frame of which more than one in so many pixels was fitted anew is taken for another scene.
-const NEW_SCENE: u32 = 5;
-
 /// Fewest pixels from which a block's surface is judged.
 pub(super) const MIN_BLOCK_PIXELS: u32 = 12;
 
@@ -295,13 +292,10 @@ impl Modeler {
         self.sync_spheres();
     }
 
-    /// Passes 4 and 5: new spheres where none touches, twice or three times; once where the last frame's
-    /// spheres left little: what is left then is as well seen to in the next frame.
+    /// Passes 4 and 5: new spheres where none touches, twice; once more where no sphere is left from
+    /// the last frame.
     fn fit(&mut self, warm: bool, time_is_up: &dyn Fn() -> bool, report: &mut FitReport) {
         for round in 0..if warm { 2 } else { 3 } {
-            if round > 0 && warm && NEW_SCENE * report.cold_pixels < report.valid_pixels {
-                return;
-            }
             if round > 0 && time_is_up() {
                 report.degraded = true;
                 return;
@@ -314,6 +308,7 @@ impl Modeler {
                 max_spheres: self.options.max_spheres,
                 // old spheres are offered each other once in a while
                 turn: (round == 0).then_some(self.frames),
+                warm,
             };
             if !cold::fit(
                 &problem,
