@@ -83,6 +83,8 @@ impl Encoder {
         let stream = Stream::new(camera, options.tolerance);
         // tables of spheres do not grow while a stream of the default fit runs
         let room = FitOptions::default().max_spheres;
+        // nor do sections, below a bit for each pixel
+        let bytes = rays.padded() / 8;
         Ok(Self {
             rays,
             validity: Validity::new(camera),
@@ -101,8 +103,8 @@ impl Encoder {
             blocks: Vec::with_capacity(room),
             numbers: Vec::with_capacity(room),
             slots: Vec::with_capacity(room),
-            sections: Default::default(),
-            label_run: Vec::new(),
+            sections: std::array::from_fn(|_| Vec::with_capacity(bytes)),
+            label_run: Vec::with_capacity(bytes),
             since_key: 0,
             last_sequence: None,
         })
