@@ -4,6 +4,7 @@
 //! is mostly not looked at and falls out of the caches.
 
 use super::surface::{Depths, to_integer};
+use super::tiles::Tiles;
 use crate::deproject::{BLOCK, Rays};
 use std::ops::Range;
 
@@ -47,44 +48,10 @@ impl Cell {
     }
 }
 
-/// Cells of a block's pixels, row by row.
-pub type Tile = [Cell; BLOCK * BLOCK];
-
-/// No place in the list of tiles.
-const NOWHERE: u32 = u32::MAX;
-
 /// The cells of a frame.
-#[derive(Clone, Debug, Default)]
-pub struct Cells {
-    /// Of each block, in `tiles`.
-    place: Vec<u32>,
-    tiles: Vec<Tile>,
-}
+pub type Cells = Tiles<Cell>;
 
 impl Cells {
-    /// No cells yet, over `rays`.
-    pub fn reset(&mut self, rays: &Rays) {
-        self.place.clear();
-        self.place.resize(rays.blocks(), NOWHERE);
-        self.tiles.clear();
-        // room for the worst frame: it does not grow while a stream runs
-        self.tiles.reserve(rays.blocks());
-    }
-
-    /// The tile of block `k`, if it has one.
-    #[inline(always)]
-    #[must_use]
-    pub fn tile(&self, k: usize) -> Option<&Tile> {
-        self.tiles.get(self.place[k] as usize)
-    }
-
-    /// The same, to write.
-    #[inline(always)]
-    #[must_use]
-    pub fn tile_mut(&mut self, k: usize) -> Option<&mut Tile> {
-        self.tiles.get_mut(self.place[k] as usize)
-    }
-
     /// Cells of block `k`: the integers that its spheres give, `depths`, where `on` is measured.
     #[inline(always)]
     pub fn write(&mut self, k: usize, on: u64, depths: &Depths) {
@@ -96,14 +63,13 @@ impl Cells {
                 cell.integer = to_integer(depth) & on;
             }
         }
-        self.place[k] = self.tiles.len() as u32;
-        self.tiles.push(tile);
+        self.put(k, tile);
     }
 
     /// Cell of row `j`, column `i` of block `k`, if that is `there`.
     #[inline(always)]
     fn cell(&self, there: bool, k: usize, i: usize, j: usize) -> Cell {
-        match there.then(|| self.tile(k)).flatten() {
+        match there.then(|| self.get(k)).flatten() {
             Some(tile) => tile[j * BLOCK + i],
             None => Cell::default(),
         }
@@ -112,7 +78,7 @@ impl Cells {
     /// Row `j` of block `k`, if that is `there`.
     #[inline(always)]
     fn row(&self, there: bool, k: usize, j: usize) -> [Cell; BLOCK] {
-        let tile = there.then(|| self.tile(k)).flatten();
+        let tile = there.then(|| self.get(k)).flatten();
         match tile.and_then(|tile| tile[j * BLOCK..].first_chunk()) {
             Some(row) => *row,
             None => [Cell::default(); BLOCK],
@@ -153,8 +119,7 @@ impl Cells {
     #[inline(always)]
     pub fn keep(&mut self, k: usize, j: usize, window: &Window) {
         let start = window.at(0, j);
-        let place = self.place[k] as usize;
-        if let Some(tile) = self.tiles.get_mut(place) {
+        if let Some(tile) = self.get_mut(k) {
             tile[j * BLOCK..][..BLOCK].copy_from_slice(&window.cells[start..start + BLOCK]);
         }
     }

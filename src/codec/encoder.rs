@@ -202,8 +202,7 @@ impl Encoder {
         let (mut depths, mut prices) = (surface::NOTHING, [0u16; BLOCK * BLOCK]);
         let mut sum = 0u64;
         for (k, &hits) in self.state.hits.iter().enumerate().filter(|h| *h.1 != 0) {
-            let State { now, tiles, .. } = &self.state;
-            now.depths(&self.rays, k, tiles, &mut depths);
+            self.state.now.depths(&self.rays, k, &mut depths);
             errors.prices(&self.rays, k, &depths, &mut prices);
             let hit = |i: usize| u64::from(prices[i]) * (hits >> i & 1);
             sum += (0..BLOCK * BLOCK).map(hit).sum::<u64>();
@@ -542,12 +541,10 @@ impl Encoder {
     /// Lossless, a hit is a pixel whose sphere gives the integer itself.
     fn keep_exact_hits(&mut self) {
         let (rays, stride) = (&self.rays, self.rays.stride());
-        let State {
-            now, tiles, hits, ..
-        } = &mut self.state;
+        let State { now, hits, .. } = &mut self.state;
         let mut depths = surface::NOTHING;
         for (k, hits) in hits.iter_mut().enumerate().filter(|h| *h.1 != 0) {
-            now.depths(rays, k, tiles, &mut depths);
+            now.depths(rays, k, &mut depths);
             let (x0, y0, ..) = mask::extent(rays, k);
             for (j, row) in depths.chunks_exact(BLOCK).enumerate() {
                 let raw = &self.plane[(y0 + j) * stride + x0..][..BLOCK];

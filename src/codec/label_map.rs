@@ -3,6 +3,7 @@
 //! Most blocks have one sphere, so the labels of their pixels are not written down.
 
 use super::surface;
+use super::tiles::Tiles;
 use crate::contact_map::assign::{EMPTY, PALETTE, Palette};
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
@@ -15,12 +16,10 @@ pub struct LabelMap {
     pub palettes: Vec<Palette>,
     /// Entries in each palette; 0 for an empty block.
     pub sizes: Vec<u8>,
-    /// Of the blocks of several spheres, in order: the labels of their pixels, row by row. Those
-    /// without a measurement hold a label, too: that of their quad, or the one to their left. The
-    /// pixels of other blocks are not written down: they all have the block's one.
-    pub tiles: Vec<[u16; BLOCK * BLOCK]>,
-    /// Place of each block's tile, for blocks of several spheres.
-    tile: Vec<u32>,
+    /// Of the blocks of several spheres, the labels of their pixels. Those without a measurement hold a
+    /// label, too: that of their quad, or the one to their left. The pixels of other blocks are not
+    /// written down: they all have the block's one.
+    pub tiles: Tiles<u16>,
 }
 
 impl LabelMap {
@@ -30,38 +29,23 @@ impl LabelMap {
         self.palettes.resize(rays.blocks(), EMPTY);
         self.sizes.clear();
         self.sizes.resize(rays.blocks(), 0);
-        self.tile.resize(rays.blocks(), 0);
-        self.tiles.clear();
-        // room for the worst frame: it does not grow while a stream runs
-        self.tiles.reserve(rays.blocks());
-    }
-
-    /// Place of block `k` among the blocks of several spheres, if it is one.
-    #[inline(always)]
-    #[must_use]
-    pub fn place(&self, k: usize) -> Option<usize> {
-        (self.sizes[k] > 1).then(|| self.tile[k] as usize)
-    }
-
-    /// The labels of the pixels of block `k`, where they are not all its first palette entry.
-    #[inline(always)]
-    #[must_use]
-    pub fn tile(&self, k: usize) -> Option<&[u16; BLOCK * BLOCK]> {
-        self.tiles.get(self.place(k)?)
+        self.tiles.reset(rays);
     }
 
     /// The label of a pixel (bit `8·row + column`) of block `k`.
     #[inline(always)]
     #[must_use]
     pub fn label(&self, k: usize, bit: usize) -> u16 {
-        self.tile(k).map_or(self.palettes[k][0], |tile| tile[bit])
+        self.tiles
+            .get(k)
+            .map_or(self.palettes[k][0], |tile| tile[bit])
     }
 
     /// The pixels of block `k` that have a sphere.
     #[inline(always)]
     #[must_use]
     pub fn with_sphere(&self, k: usize) -> u64 {
-        let Some(tile) = self.tile(k) else {
+        let Some(tile) = self.tiles.get(k) else {
             return u64::from(self.palettes[k][0] != NO_SPHERE).wrapping_neg();
         };
         let mut cells = [0u8; BLOCK * BLOCK];
@@ -69,11 +53,6 @@ impl LabelMap {
             *cell = u8::from(*label != NO_SPHERE);
         }
         surface::packed(&cells)
-    }
-
-    pub(super) fn write_tile(&mut self, k: usize, tile: [u16; BLOCK * BLOCK]) {
-        self.tile[k] = self.tiles.len() as u32;
-        self.tiles.push(tile);
     }
 
     /// The labels right above block `k` and to its left, as far as they are decoded; its own are yet
@@ -88,7 +67,7 @@ impl LabelMap {
         if north {
             let above = k - columns;
             let row = &mut labels[1..=BLOCK];
-            match self.tile(above) {
+            match self.tiles.get(above) {
                 None => row.fill(self.palettes[above][0]),
                 Some(tile) => row.copy_from_slice(&tile[BLOCK * (BLOCK - 1)..]),
             }
@@ -120,7 +99,7 @@ impl LabelMap {
                 }
                 let k = by * columns + bx;
                 let (i, j) = (bx * BLOCK + left - x, by * BLOCK + from - y);
-                let tile = self.tile(k);
+                let tile = self.tiles.get(k);
                 for n in 0..to - from {
                     let at = Window::at(i, j + n);
                     let row = &mut window.0[at..at + end - left];

@@ -44,6 +44,7 @@ mod state;
 mod surface;
 #[cfg(test)]
 mod tile_tests;
+pub mod tiles;
 
 pub use decoder::{DecodedFrame, Decoder, Level};
 pub use effort::Effort;

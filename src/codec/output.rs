@@ -1,12 +1,13 @@
 //! Decoded pictures to frames of depth and labels (`FORMAT.md` §1.6, "Output").
 
-use super::cells;
+use super::cells::Cell;
 use super::decoder::{DecodedFrame, Level};
 use super::header::Stream;
 use super::mask::{self, Fill};
 use super::residual::Kind;
 use super::state::State;
 use super::surface::{self, Depths, Surface, Surfaces, is_real, packed, to_integer};
+use super::tiles::Tile;
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE};
 use crate::deproject::{BLOCK, Rays};
@@ -33,7 +34,7 @@ pub(super) fn write_coarse(frame: &mut DecodedFrame, state: &State, rays: &Rays,
         let (whole, on) = if level == Level::Blocks {
             (Some(now.map.palettes[k][0]), u64::MAX)
         } else {
-            now.depths(rays, k, &state.tiles, &mut depths);
+            now.depths(rays, k, &mut depths);
             (None, now.mask.block(rays, k))
         };
         for j in 0..h {
@@ -193,9 +194,9 @@ fn write_run(
 
 /// The cells of block `k`, where some of its pixels may come back from bins.
 #[inline(always)]
-fn rough_tile(state: &State, k: usize) -> Option<&cells::Tile> {
+fn rough_tile(state: &State, k: usize) -> Option<&Tile<Cell>> {
     let rough = state.now.kinds[k] != Kind::Smooth;
-    rough.then(|| state.cells.tile(k)).flatten()
+    rough.then(|| state.cells.get(k)).flatten()
 }
 
 /// The pixels of a block of the public frame.
@@ -223,14 +224,14 @@ impl Pixels {
             return 0;
         }
         let Self { depths, labels } = self;
-        now.depths(rays, k, &state.tiles, depths);
+        now.depths(rays, k, depths);
         let mut coded = [0u8; BLOCK * BLOCK];
         if let Some(tile) = rough_tile(state, k) {
             for (coded, cell) in coded.iter_mut().zip(tile) {
                 *coded = u8::from(cell.is_coded());
             }
         }
-        *labels = match now.map.tile(k) {
+        *labels = match now.map.tiles.get(k) {
             Some(tile) => *tile,
             None => [now.map.palettes[k][0]; BLOCK * BLOCK],
         };
@@ -268,7 +269,7 @@ impl Pixels {
         let (x0, y0, ..) = mask::extent(rays, k);
         let tile = rough_tile(state, k);
         let mut depths = surface::NOTHING;
-        now.depths(rays, k, &state.tiles, &mut depths);
+        now.depths(rays, k, &mut depths);
         while pixels != 0 {
             let bit = pixels.trailing_zeros() as usize;
             pixels &= pixels - 1;

@@ -16,7 +16,7 @@ use super::mask::extent;
 use super::mixer::{CONTEXTS, Mixer, Place};
 use super::range_coder::{Bit, Coder, Integer};
 use super::state::Picture;
-use super::surface::{self, Depths, is_real, to_integer};
+use super::surface::{self, is_real, to_integer};
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
 
@@ -170,10 +170,34 @@ pub(super) struct Scene<'a> {
     pub rays: &'a Rays,
     pub bins: &'a Bins,
     pub now: &'a Picture,
-    /// Predicted depths of the blocks of several spheres.
-    pub tiles: &'a [Depths],
     /// The pixels of each block that their sphere gives back (not used to decode).
     pub hits: &'a [u64],
+}
+
+impl Scene<'_> {
+    /// Codes the bin of a pixel of a block (bit `8·row + column`), given what its neighbours tell, the
+    /// `depth` that its sphere predicts, if it has one, and the integer rebuilt `last`; `integer` is the
+    /// pixel's (not used to decode). Returns what it tells in turn.
+    #[allow(clippy::too_many_arguments)] // one pixel's whole surroundings
+    #[inline(always)]
+    fn code_bin<const FAST: bool, C: Coder>(
+        &self,
+        coder: &mut C,
+        models: &mut Models,
+        (block, bit): (usize, usize),
+        near: &Neighbours,
+        depth: Option<f32>,
+        last: u16,
+        integer: u16,
+    ) -> Cell {
+        let table = self.bins.of(block, bit);
+        let guess = depth.filter(|&d| is_real(d));
+        let around = Around::gather(table, near, last, guess);
+        let dense = self.now.kinds[block] == Kind::Dense;
+        let bin = around.code::<FAST, C>(coder, models, dense, table.of(integer));
+        let bin = table.clamp(bin);
+        around.cell(bin, table.center(bin))
+    }
 }
 
 /// Walks the measured pixels of sparse and dense blocks in raster order and rebuilds those that come
@@ -200,7 +224,7 @@ pub(super) fn code_pixels<C: Coder, W: Fn(usize, usize) -> u16>(
                 continue;
             }
             let mut window = cells.around(rays, block, j..j + 1);
-            let depths = now.depth_row(rays, block, j, scene.tiles);
+            let depths = now.depth_row(rays, block, j);
             while on != 0 {
                 let i = on.trailing_zeros() as usize;
                 on &= on - 1;
@@ -213,15 +237,13 @@ pub(super) fn code_pixels<C: Coder, W: Fn(usize, usize) -> u16>(
                         continue;
                     }
                 }
-                let guess = Some(depths[i]).filter(|&d| sphere && is_real(d));
-                let table = scene.bins.of(block, bit);
-                let around = Around::gather(table, &near, last, guess);
+                let depth = Some(depths[i]).filter(|_| sphere);
                 let integer = wanted(bx * BLOCK + i, y);
-                let dense = kind == Kind::Dense;
-                let bin = around.code::<false, C>(coder, models, dense, table.of(integer));
-                let bin = table.clamp(bin);
-                last = table.center(bin);
-                window.set(i, j, around.cell(bin, last));
+                let at = (block, bit);
+                let cell =
+                    scene.code_bin::<false, C>(coder, models, at, &near, depth, last, integer);
+                window.set(i, j, cell);
+                last = cell.integer;
             }
             cells.keep(block, j, &window);
         }
@@ -258,23 +280,19 @@ pub(super) fn code_pixels_fast<C: Coder, W: Fn(usize, usize) -> u16>(
         if left == 0 {
             continue;
         }
-        now.depths(rays, block, scene.tiles, &mut depths);
+        now.depths(rays, block, &mut depths);
         let mut window = cells.around(rays, block, 0..BLOCK);
         let (x0, y0, ..) = extent(rays, block);
         while left != 0 {
             let bit = left.trailing_zeros() as usize;
             left &= left - 1;
             let (i, j) = (bit % BLOCK, bit / BLOCK);
-            let sphere = known >> bit & 1 != 0;
-            let guess = Some(depths[bit]).filter(|&d| sphere && is_real(d));
-            let table = scene.bins.of(block, bit);
-            let around = Around::gather(table, &window.neighbours(i, j), last, guess);
+            let depth = Some(depths[bit]).filter(|_| known >> bit & 1 != 0);
             let integer = wanted(x0 + i, y0 + j);
-            let dense = kind == Kind::Dense;
-            let bin = around.code::<true, C>(coder, models, dense, table.of(integer));
-            let bin = table.clamp(bin);
-            last = table.center(bin);
-            window.set(i, j, around.cell(bin, last));
+            let (at, near) = ((block, bit), window.neighbours(i, j));
+            let cell = scene.code_bin::<true, C>(coder, models, at, &near, depth, last, integer);
+            window.set(i, j, cell);
+            last = cell.integer;
         }
         for j in 0..BLOCK {
             cells.keep(block, j, &window);

@@ -3,13 +3,13 @@
 use super::choice::{Errors, MISS_COST};
 use super::flow::{self, Past, Shift};
 use super::label_map::LabelMap;
-use super::labels::{AsRead, Choice};
+use super::labels::{self, AsRead, Choice};
 use super::mask::{self, Fill, Mask, QUADS, quad_pixels};
 use super::palette_choice;
 use super::range_coder::{self, Coder, Decoder, Encoder};
 use super::sphere_table::Entry;
-use super::state;
 use super::surface::{self, Depths, Surfaces};
+use super::tiles::Tiles;
 use crate::contact_map::assign::{EMPTY, PALETTE};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
@@ -199,37 +199,41 @@ proptest! {
             let mut here = there.clone();
             let shifts = chance.shifts(&rays);
             let past = before.as_ref().map(|b| Past { picture: b, shifts: &shifts });
-            let (mut drawn, mut rebuilt) = (Vec::new(), Vec::new());
+            let (mut drawn, mut rebuilt) = (Tiles::default(), Tiles::default());
+            drawn.reset(&rays);
+            rebuilt.reset(&rays);
             let mut script = Script::new(&mut chance, &there);
-            let surfaces = Surfaces(&entries);
             let mut bytes = Vec::new();
             let mut coder = Encoder::new(&mut bytes);
-            let known = (!fast).then_some(&mask);
+            let scene = labels::Scene {
+                rays: &rays,
+                reach: &reach,
+                mask: (!fast).then_some(&mask),
+                before: past,
+                surfaces: Surfaces(&entries),
+            };
             let mut hits = vec![u64::MAX; rays.blocks()];
-            state::code_labels(
-                &mut coder, &mut written, &rays, &reach, known, &mut there, past, &surfaces,
-                &mut drawn, &mut script, &mut hits,
-            );
+            let outcome = labels::Outcome { depths: &mut drawn, touching: &mut hits };
+            labels::code(&mut coder, &mut written, &scene, &mut there, &mut script, outcome);
             coder.finish();
             let mut coder = Decoder::new(&bytes);
             let mut none = vec![0; rays.blocks()];
-            state::code_labels(
-                &mut coder, &mut read, &rays, &reach, known, &mut here, past, &surfaces,
-                &mut rebuilt, &mut AsRead, &mut none,
-            );
+            let outcome = labels::Outcome { depths: &mut rebuilt, touching: &mut none };
+            labels::code(&mut coder, &mut read, &scene, &mut here, &mut AsRead, outcome);
             prop_assert!(!coder.overran());
             prop_assert_eq!(&here.tiles, &there.tiles);
             for (k, entries) in script.wanted.iter().enumerate() {
                 let mut depths = [surface::NOTHING; PALETTE];
                 for (depths, &id) in depths.iter_mut().zip(&here.palettes[k]) {
-                    surfaces.depths(&rays, k, id, depths);
+                    scene.surfaces.depths(&rays, k, id, depths);
                 }
                 for (bit, &e) in entries.iter().enumerate().filter(|(b, _)| wanted[k] >> b & 1 != 0) {
                     prop_assert_eq!(here.label(k, bit), here.palettes[k][usize::from(e)]);
                     let depth = depths[usize::from(e)][bit];
-                    if let Some(place) = here.place(k) {
-                        prop_assert_eq!(rebuilt[place][bit].to_bits(), depth.to_bits());
-                        prop_assert_eq!(drawn[place][bit].to_bits(), depth.to_bits());
+                    for tiles in [&rebuilt, &drawn] {
+                        let tile = tiles.get(k);
+                        prop_assert_eq!(tile.is_some(), here.sizes[k] > 1);
+                        prop_assert!(tile.is_none_or(|tile| tile[bit].to_bits() == depth.to_bits()));
                     }
                 }
                 let given = hits[k] & wanted[k];

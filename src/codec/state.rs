@@ -12,6 +12,7 @@ use super::range_coder::Coder;
 use super::residual::{self, Kind};
 use super::sphere_table::{self, Entry, Support};
 use super::surface::{self, Depths, Surfaces};
+use super::tiles::Tiles;
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::NO_SPHERE;
 use crate::deproject::{BLOCK, Rays};
@@ -36,6 +37,8 @@ pub(super) struct Models {
 pub(super) struct Picture {
     pub mask: Mask,
     pub map: LabelMap,
+    /// Depths that spheres predict, of the blocks of several.
+    pub tiles: Tiles<f32>,
     pub entries: Vec<Option<Entry>>,
     pub kinds: Vec<Kind>,
 }
@@ -53,8 +56,6 @@ pub(super) struct State {
     pub bins: Bins,
     /// Where the blocks were in the last frame.
     pub shifts: Vec<Shift>,
-    /// Depths that spheres predict, of the blocks of several, in the order of the map's tiles.
-    pub tiles: Vec<Depths>,
     /// What pixels tell each other where some come back from bins.
     pub cells: Cells,
     /// Measured pixels of each block that touch the sphere they got (encoding only).
@@ -94,6 +95,7 @@ impl State {
         }
         self.now.mask.reset(rays);
         self.now.map.reset(rays);
+        self.now.tiles.reset(rays);
         self.now.kinds.clear();
         self.now.kinds.resize(rays.blocks(), Kind::Smooth);
         self.hits.resize(rays.blocks(), 0);
@@ -191,24 +193,36 @@ impl State {
         key: bool,
         choice: &mut W,
     ) {
-        let past = (!key).then_some(Past {
-            picture: &self.before.map,
-            shifts: &self.shifts,
-        });
-        let mask = (!self.fast).then_some(&self.now.mask);
-        let (map, surfaces) = (&mut self.now.map, Surfaces(&self.now.entries));
-        code_labels(
-            coder,
-            &mut self.models.labels,
+        let State {
+            models,
+            fast,
+            now,
+            before,
+            shifts,
+            hits,
+            ..
+        } = self;
+        let scene = labels::Scene {
             rays,
             reach,
-            mask,
-            map,
-            past,
-            &surfaces,
-            &mut self.tiles,
+            mask: (!*fast).then_some(&now.mask),
+            before: (!key).then_some(Past {
+                picture: &before.map,
+                shifts,
+            }),
+            surfaces: Surfaces(&now.entries),
+        };
+        let outcome = labels::Outcome {
+            depths: &mut now.tiles,
+            touching: hits,
+        };
+        labels::code(
+            coder,
+            &mut models.labels,
+            &scene,
+            &mut now.map,
             choice,
-            &mut self.hits,
+            outcome,
         );
     }
 
@@ -227,37 +241,35 @@ impl State {
             now,
             before,
             shifts,
-            tiles,
             hits,
             mask_bits,
             ..
         } = self;
-        let (of_masks, of_maps) = (&before.mask.pixels, &before.map);
-        let past = (!key).then_some((
-            Past {
-                picture: of_masks,
+        let past = (!key).then_some(Past {
+            picture: &before.mask.pixels,
+            shifts,
+        });
+        let scene = labels::Scene {
+            rays,
+            reach,
+            mask: None,
+            before: (!key).then_some(Past {
+                picture: &before.map,
                 shifts,
-            },
-            Past {
-                picture: of_maps,
-                shifts,
-            },
-        ));
-        let Picture {
-            mask, map, entries, ..
-        } = now;
-        let surfaces = Surfaces(entries);
+            }),
+            surfaces: Surfaces(&now.entries),
+        };
+        let outcome = labels::Outcome {
+            depths: &mut now.tiles,
+            touching: hits,
+        };
+        let (mask, map) = (&mut now.mask, &mut now.map);
         rayon::join(
             || {
-                let (models, past) = (&mut models.mask, past.map(|p| p.0));
+                let models = &mut models.mask;
                 mask_bits[1] = code_mask(of_mask, models, rays, mask, past, wanted, how, true);
             },
-            || {
-                let (models, past) = (&mut models.labels, past.map(|p| p.1));
-                code_labels(
-                    of_labels, models, rays, reach, None, map, past, &surfaces, tiles, choice, hits,
-                );
-            },
+            || labels::code(of_labels, &mut models.labels, &scene, map, choice, outcome),
         );
     }
 
@@ -281,7 +293,6 @@ impl State {
             fast,
             now,
             before,
-            tiles,
             cells,
             bins,
             hits,
@@ -296,12 +307,11 @@ impl State {
             return Ok(());
         }
         bins.prepare(rays, reach, lossless, true);
-        write_near(rays, now, tiles, cells);
+        write_near(rays, now, cells, *fast);
         let scene = residual::Scene {
             rays,
             bins,
             now,
-            tiles,
             hits,
         };
         if *fast {
@@ -331,14 +341,12 @@ impl State {
 
     /// States the depths of a plain frame, in raster order; `integer` tells or takes the one at (x, y).
     pub fn state_plainly(&mut self, rays: &Rays, mut integer: impl FnMut(usize, usize) -> u16) {
-        let State {
-            now, tiles, cells, ..
-        } = self;
-        write_near(rays, now, tiles, cells);
+        let State { now, cells, .. } = self;
+        write_near(rays, now, cells, true);
         for y in 0..rays.height {
             for bx in 0..rays.block_columns {
                 let k = y / BLOCK * rays.block_columns + bx;
-                let Some(tile) = cells.tile_mut(k).filter(|_| now.kinds[k] != Kind::Smooth) else {
+                let Some(tile) = cells.get_mut(k).filter(|_| now.kinds[k] != Kind::Smooth) else {
                     continue;
                 };
                 let row = &mut tile[y % BLOCK * BLOCK..][..BLOCK];
@@ -373,38 +381,11 @@ fn code_mask<C: Coder>(
     coder.written() - start
 }
 
-/// Labels within the mask, or, fast, without one, of blocks of several spheres.
-#[allow(clippy::too_many_arguments)] // one section's whole state
-pub(super) fn code_labels<C: Coder, W: Choice>(
-    coder: &mut C,
-    models: &mut labels::Models,
-    rays: &Rays,
-    reach: &Reach,
-    mask: Option<&Mask>,
-    map: &mut LabelMap,
-    past: Option<Past<'_, LabelMap>>,
-    surfaces: &Surfaces<'_>,
-    tiles: &mut Vec<Depths>,
-    choice: &mut W,
-    hits: &mut [u64],
-) {
-    if mask.is_some() {
-        labels::code::<false, C, W>(
-            coder, models, rays, reach, mask, map, past, surfaces, tiles, choice, hits,
-        );
-    } else {
-        labels::code::<true, C, W>(
-            coder, models, rays, reach, None, map, past, surfaces, tiles, choice, hits,
-        );
-    }
-}
-
 impl Picture {
-    /// Depths that the spheres of block `k` predict for its pixels; `tiles` are those of blocks of
-    /// several.
+    /// Depths that the spheres of block `k` predict for its pixels.
     #[inline(always)]
-    pub fn depths(&self, rays: &Rays, k: usize, tiles: &[Depths], out: &mut Depths) {
-        match self.map.place(k).and_then(|place| tiles.get(place)) {
+    pub fn depths(&self, rays: &Rays, k: usize, out: &mut Depths) {
+        match self.tiles.get(k) {
             Some(tile) => *out = *tile,
             None => Surfaces(&self.entries).depths(rays, k, self.map.palettes[k][0], out),
         }
@@ -412,19 +393,19 @@ impl Picture {
 
     /// Row `j` of them.
     #[inline(always)]
-    pub fn depth_row(&self, rays: &Rays, k: usize, j: usize, tiles: &[Depths]) -> [f32; BLOCK] {
-        match self.map.place(k).and_then(|place| tiles.get(place)) {
+    pub fn depth_row(&self, rays: &Rays, k: usize, j: usize) -> [f32; BLOCK] {
+        match self.tiles.get(k) {
             Some(tile) => *tile[j * BLOCK..].first_chunk().unwrap_or(&[0.0; BLOCK]),
             None => Surfaces(&self.entries).depth_row(rays, k, j, self.map.palettes[k][0]),
         }
     }
 }
 
-/// Cells of the blocks that are not smooth and of those that these look at: around them, but not
-/// below.
+/// Cells of the blocks that are not smooth and of those that these look at: above and to the left, and,
+/// but for a fast frame, to the right.
 #[allow(unsafe_code)] // run-time dispatch generated by the macro
 #[multiversion::multiversion(targets("x86_64+avx2"))]
-fn write_near(rays: &Rays, now: &Picture, tiles: &[Depths], cells: &mut Cells) {
+fn write_near(rays: &Rays, now: &Picture, cells: &mut Cells, fast: bool) {
     cells.reset(rays);
     let columns = rays.block_columns;
     let rough = |there: bool, k: usize| there && now.kinds[k] != Kind::Smooth;
@@ -434,12 +415,12 @@ fn write_near(rays: &Rays, now: &Picture, tiles: &[Depths], cells: &mut Cells) {
         let (west, east, below) = (x > 0, x + 1 < columns, k + columns < rays.blocks());
         let seen = rough(true, k)
             || rough(east, k + 1)
-            || rough(west, k.wrapping_sub(1))
+            || rough(west && !fast, k.wrapping_sub(1))
             || rough(below, k + columns)
             || rough(below && east, k + columns + 1)
             || rough(below && west, (k + columns).wrapping_sub(1));
         if seen && now.mask.fills[k] != Fill::Empty {
-            now.depths(rays, k, tiles, &mut depths);
+            now.depths(rays, k, &mut depths);
             cells.write(k, now.mask.block(rays, k), &depths);
         }
     }
