@@ -50,18 +50,16 @@ impl Clock for Sleepy {
     }
 }
 
-#[test]
-fn a_recording_that_is_read_too_slowly_falls_back_and_its_frames_do_not_age() {
-    // each frame takes three of its periods to be read
-    let clock = FakeClock::default();
+/// Runs `script` at its own pace on two threads. A frame is read, as `reading` says, when the one before
+/// it is written: then only reading and waiting for a frame's time move a fake clock.
+fn run_in_step(script: Vec<Event>, mut reading: impl FnMut() + Send, clock: &FakeClock) -> Outcome {
     let (written_tx, written) = bounded::<()>(1);
-    let mut source = MockSource::frames(600);
-    source.before = Box::new(|n| {
-        // only reading takes the fake clock's time
+    let mut source = MockSource::new(script);
+    source.before = Box::new(move |n| {
         if n > 0 {
             written.recv().unwrap();
         }
-        clock.sleep(Duration::from_millis(30));
+        reading();
     });
     let mut sink = MockSink {
         after: Some(Box::new(move |_| written_tx.send(()).unwrap())),
@@ -71,15 +69,23 @@ fn a_recording_that_is_read_too_slowly_falls_back_and_its_frames_do_not_age() {
         pace: Pace::Realtime,
         ..options(2)
     };
-    let outcome = run_mocks(
+    let (mut model, mut encode) = (MockModel::default(), MockEncode::default());
+    run_mocks(
         &mut source,
-        &mut MockModel::default(),
-        &mut MockEncode::default(),
+        &mut model,
+        &mut encode,
         &mut sink,
         &options,
-        &clock,
-    );
-    let report = &outcome.report;
+        clock,
+    )
+}
+
+#[test]
+fn a_recording_that_is_read_too_slowly_falls_back_and_its_frames_do_not_age() {
+    // each frame takes three of its periods to be read
+    let clock = FakeClock::default();
+    let reading = || clock.sleep(Duration::from_millis(30));
+    let report = run_in_step(vec![Event::Frame; 600], reading, &clock).report;
     assert_eq!((report.frames, report.drops.total()), (600, 0));
     // without falling back the last would be 12 s old
     assert!(report.age_ms.max < 700.0, "{:?}", report.age_ms);
@@ -116,38 +122,12 @@ fn realtime_does_not_drift() {
 fn the_frames_behind_a_pause_are_in_time() {
     // a second without frames, which is no reason to wait half a second for the next one
     let clock = FakeClock::default();
-    let (written_tx, written) = bounded::<()>(1);
     let mut script = vec![Event::Frame; 5];
     script.push(Event::Gap(100));
     script.extend([Event::Frame; 10]);
-    let mut source = MockSource::new(script);
-    source.before = Box::new(|n| {
-        if n > 0 {
-            written.recv().unwrap();
-        }
-    });
-    let mut sink = MockSink {
-        after: Some(Box::new(move |_| written_tx.send(()).unwrap())),
-        ..MockSink::default()
-    };
-    let options = Options {
-        pace: Pace::Realtime,
-        ..options(2)
-    };
-    let outcome = run_mocks(
-        &mut source,
-        &mut MockModel::default(),
-        &mut MockEncode::default(),
-        &mut sink,
-        &options,
-        &clock,
-    );
-    assert_eq!(outcome.report.frames, 15);
+    let report = run_in_step(script, || {}, &clock).report;
+    assert_eq!(report.frames, 15);
     assert!(clock.now_ns() >= 1_000_000_000);
     // capture sleeps for the next frame while this one is on its way
-    assert!(
-        outcome.report.age_ms.max < 50.0,
-        "{:?}",
-        outcome.report.age_ms
-    );
+    assert!(report.age_ms.max < 50.0, "{:?}", report.age_ms);
 }
