@@ -7,7 +7,7 @@ mod frames;
 use frames::{camera, options};
 use glam::Vec3;
 use saint_live::codec::{Decoder, EncodedFrame, Encoder};
-use saint_live::contact_map::labels::SaintFrame;
+use saint_live::contact_map::labels::{Contacts, SaintFrame};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::motion::Motion;
 use saint_live::fit::sphere::Sphere;
@@ -32,7 +32,7 @@ fn a_large_image_without_a_hole_decodes() {
     let mut encoded = EncodedFrame::default();
     let saint = SaintFrame {
         spheres: vec![wall(0.5)],
-        labels: vec![0; camera.pixels()],
+        contacts: Contacts::Labels(vec![0; camera.pixels()]),
         motion: Motion::default(),
     };
     for sequence in 0..2 {
@@ -77,7 +77,7 @@ fn a_sphere_lost_to_the_motion_is_stated_again() {
         let label = |i: usize| order[i % 64 / 8];
         let saint = SaintFrame {
             spheres: walls.map(wall).to_vec(),
-            labels: (0..64 * 8).map(|i| label(i) as u16).collect(),
+            contacts: Contacts::Labels((0..64 * 8).map(|i| label(i) as u16).collect()),
             motion,
         };
         let frame = DepthFrame {

@@ -11,7 +11,8 @@ mod frames;
 use frames::{Chance, PICTURES, Picture, camera, check, draw, options};
 use glam::Vec3;
 use saint_live::codec::{CodecError, CodecOptions, Decoder, EncodedFrame, Encoder, Tolerance};
-use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
+use saint_live::contact_map::assign::BlockContacts;
+use saint_live::contact_map::labels::{Contacts, INVALID, NO_SPHERE, SaintFrame};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::fit::sphere::Sphere;
@@ -213,16 +214,26 @@ fn labels_that_make_no_sense_keep_mask_and_bound() {
                     (n != 3).then_some(sphere)
                 })
                 .collect();
-            let labels = (0..camera.pixels())
-                .map(|_| match chance.below(16) {
-                    15 => INVALID,
-                    14 => NO_SPHERE,
-                    label => label as u16,
-                })
-                .collect();
+            let label = |chance: &mut Chance| match chance.below(16) {
+                15 => INVALID,
+                14 => NO_SPHERE,
+                label => label as u16,
+            };
+            let contacts = if number % 2 == 0 {
+                let labels = (0..camera.pixels()).map(|_| label(&mut chance));
+                Contacts::Labels(labels.collect())
+            } else {
+                let blocks = camera.width.div_ceil(8) * camera.height.div_ceil(8);
+                let block = |_| BlockContacts {
+                    palette: std::array::from_fn(|_| label(&mut chance)),
+                    pixels: std::array::from_fn(|_| chance.below(1 << 32) << chance.below(33)),
+                    ..BlockContacts::default()
+                };
+                Contacts::Blocks((0..blocks).map(block).collect())
+            };
             let saint = SaintFrame {
                 spheres,
-                labels,
+                contacts,
                 ..SaintFrame::default()
             };
             encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
@@ -249,15 +260,17 @@ fn what_is_no_frame_of_the_camera_is_refused() {
     let mut encoder = Encoder::new(&camera, with).unwrap();
     let frame = draw(&camera, Picture::Noise, 0, 0);
     let saint = SaintFrame {
-        labels: vec![NO_SPHERE; 63],
+        contacts: Contacts::Labels(vec![NO_SPHERE; 63]),
         ..SaintFrame::default()
     };
     let refused = encoder.encode(&frame, &saint, false, &mut EncodedFrame::default());
-    assert_eq!(
-        refused,
-        Err(CodecError::Size {
-            found: 63,
-            expected: 64
-        })
-    );
+    let (found, expected) = (63, 64);
+    assert_eq!(refused, Err(CodecError::Size { found, expected }));
+    let saint = SaintFrame {
+        contacts: Contacts::Blocks(vec![BlockContacts::default(); 2]),
+        ..SaintFrame::default()
+    };
+    let refused = encoder.encode(&frame, &saint, false, &mut EncodedFrame::default());
+    let (found, expected) = (128, 64);
+    assert_eq!(refused, Err(CodecError::Size { found, expected }));
 }

@@ -7,8 +7,8 @@ use saint_live::capture::synthetic::{
     NoiseModel, Scene, SceneTruth, SyntheticOptions, SyntheticSource,
 };
 use saint_live::codec::{CodecOptions, EncodedFrame, Encoder};
-use saint_live::contact_map::labels::{NO_SPHERE, SaintFrame};
-use saint_live::deproject::Rays;
+use saint_live::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
+use saint_live::deproject::{Rays, Validity};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, FitReport, Modeler};
 use saint_live::frame::{Camera, DepthFrame};
@@ -56,9 +56,19 @@ struct Errors {
 }
 
 fn errors(camera: &Camera, frame: &DepthFrame, saint: &SaintFrame, truth: &SceneTruth) -> Errors {
-    let rays = Rays::new(camera);
+    let (rays, validity) = (Rays::new(camera), Validity::new(camera));
     let (mut modelled, mut measured, mut pixels) = (0.0, 0.0, 0);
-    for (pixel, &label) in saint.labels.iter().enumerate() {
+    for (pixel, label) in saint
+        .labels(rays.width, rays.height)
+        .into_iter()
+        .enumerate()
+    {
+        let raw = frame.depth[pixel];
+        assert_eq!(
+            label == INVALID,
+            !validity.accepts(raw),
+            "pixel {pixel}: {raw}"
+        );
         let (x, y) = (pixel % rays.width, pixel / rays.width);
         let inside = (2..rays.width - 2).contains(&x) && (2..rays.height - 2).contains(&y);
         let same = |q: usize| truth.surface[q] == truth.surface[pixel];
@@ -90,7 +100,7 @@ fn errors(camera: &Camera, frame: &DepthFrame, saint: &SaintFrame, truth: &Scene
 /// The sphere most pixels of a surface carry, and how many of how many do.
 fn main_sphere(saint: &SaintFrame, truth: &SceneTruth, surface: u16) -> (usize, u32, u32) {
     let mut pixels = vec![0u32; saint.spheres.len()];
-    for (&label, &on) in saint.labels.iter().zip(&truth.surface) {
+    for (label, &on) in saint.labels(320, 240).into_iter().zip(&truth.surface) {
         if on == surface && label < NO_SPHERE {
             pixels[usize::from(label)] += 1;
         }
@@ -260,7 +270,12 @@ fn one_thread_and_two_give_the_same_frames_and_bytes() {
                     let report = modeler.model(&frame, &mut saint, &|| false);
                     encoder.encode(&frame, &saint, false, &mut encoded).unwrap();
                     let payload = encoded.payload.clone();
-                    (report, saint.labels.clone(), saint.spheres.clone(), payload)
+                    (
+                        report,
+                        saint.contacts.clone(),
+                        saint.spheres.clone(),
+                        payload,
+                    )
                 })
                 .collect::<Vec<_>>()
         })
@@ -305,7 +320,8 @@ fn hard_pictures_are_survived() {
             };
             let report = modeler.model(&frame, &mut saint, &|| false);
             assert_eq!(report.valid_pixels as usize, valid, "{width}x{height}");
-            let named = saint.labels.iter().filter(|l| **l < NO_SPHERE);
+            let labels = saint.labels(width as usize, height as usize);
+            let named = labels.iter().filter(|l| **l < NO_SPHERE);
             assert_eq!(report.explained_pixels as usize, named.clone().count());
             assert!(
                 named

@@ -12,7 +12,7 @@ use super::state::{MAX_SPHERES, State};
 use super::surface::{self, Surfaces, to_integer};
 use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
 use crate::contact_map::contact::Reach;
-use crate::contact_map::labels::{NO_SPHERE, SaintFrame};
+use crate::contact_map::labels::{Contacts, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::live::FitOptions;
@@ -144,7 +144,12 @@ impl Encoder {
         out: &mut EncodedFrame,
     ) -> Result<EncodeReport, CodecError> {
         let pixels = self.rays.width * self.rays.height;
-        for found in [frame.depth.len(), saint.labels.len()] {
+        let of_map = match &saint.contacts {
+            Contacts::Labels(labels) => labels.len(),
+            Contacts::Blocks(blocks) if blocks.len() == self.rays.blocks() => pixels,
+            Contacts::Blocks(blocks) => blocks.len() * BLOCK * BLOCK,
+        };
+        for found in [frame.depth.len(), of_map] {
             if found != pixels {
                 return Err(CodecError::Size {
                     found,

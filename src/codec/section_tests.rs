@@ -10,9 +10,9 @@ use super::range_coder::{self, Coder, Decoder, Encoder};
 use super::sphere_table::Entry;
 use super::surface::{self, Depths, Surfaces};
 use super::tiles::Tiles;
-use crate::contact_map::assign::{EMPTY, PALETTE};
+use crate::contact_map::assign::{BlockContacts, EMPTY, PALETTE};
 use crate::contact_map::contact::Reach;
-use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
+use crate::contact_map::labels::{Contacts, INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::fit::contact_distance::ContactDistance;
 use crate::fit::motion::Motion;
@@ -243,6 +243,39 @@ proptest! {
         }
     }
 
+    /// A map by blocks gives the palettes of its label image.
+    #[test]
+    fn palettes_of_blocks_are_those_of_their_pixels((width, height) in sizes(), seed in any::<u64>()) {
+        let camera = camera(width, height);
+        let rays = Rays::new(&camera);
+        let mut chance = Chance(seed);
+        let spheres: Vec<_> = (0..6).map(|n| (n != 4).then(|| chance.sphere())).collect();
+        let mut block = |k: usize| {
+            let mut left = mask::inside(&rays, k) & (chance.block() | chance.block());
+            let mut block = BlockContacts::default();
+            for (e, pixels) in block.pixels.iter_mut().enumerate().take(chance.below(5) as usize) {
+                // four different ones, of which slot 4 is empty and 6 is none at all
+                block.palette[e] = (e as u16 * 2 + (k as u16 % 2)) % 7;
+                *pixels = left & [chance.block(), u64::MAX][chance.below(2) as usize];
+                left &= !*pixels;
+            }
+            block.missing = left;
+            block
+        };
+        let blocks: Vec<_> = (0..rays.blocks()).map(&mut block).collect();
+        let contacts = Contacts::Blocks(blocks.clone());
+        let by_block = SaintFrame { spheres, contacts, ..SaintFrame::default() };
+        let labels = Contacts::Labels(by_block.labels(rays.width, rays.height));
+        let by_pixel = SaintFrame { contacts: labels, ..by_block.clone() };
+        for (k, block) in blocks.iter().enumerate() {
+            let all = block.pixels.iter().fold(block.missing, |all, p| all | p);
+            for measured in [all, all & chance.block()] {
+                let gathered = palette_choice::gather(&by_block, &rays, k, measured);
+                prop_assert_eq!(gathered, palette_choice::gather(&by_pixel, &rays, k, measured));
+            }
+        }
+    }
+
     /// A block keeps a sphere, and every sphere that alone explains five of its pixels.
     #[test]
     fn palettes_keep_what_is_needed((width, height) in sizes(), seed in any::<u64>()) {
@@ -261,7 +294,7 @@ proptest! {
             labels.push([n as u16, NO_SPHERE, INVALID, 60_000][(chance.below(24) / 21) as usize * chance.below(4) as usize]);
         }
         let frame = DepthFrame { depth, ..DepthFrame::default() };
-        let saint = SaintFrame { spheres, labels, ..SaintFrame::default() };
+        let saint = SaintFrame { spheres, contacts: Contacts::Labels(labels), ..SaintFrame::default() };
         let mut plane = Vec::new();
         Validity::new(&camera).clean(&rays, &frame, &mut plane);
         let mut measured = Vec::new();

@@ -5,7 +5,7 @@
 //! pixel keeps the label of the pixel before it while that one still touches (hysteresis in space).
 
 use super::contact::{Contact, Touch};
-use super::labels::NO_SPHERE;
+use super::labels::{INVALID, NO_SPHERE};
 use crate::deproject::{BLOCK, Rays};
 use crate::fit::sphere::Sphere;
 
@@ -67,7 +67,7 @@ impl Candidates {
 }
 
 /// What became of one block.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlockContacts {
     /// Spheres that have pixels here.
     pub palette: Palette,
@@ -99,6 +99,18 @@ impl BlockContacts {
             missing: valid,
             rough: valid,
             ..Self::default()
+        }
+    }
+
+    /// The label of a pixel (bit `8·row + column`): [`INVALID`] where nothing was measured.
+    #[inline(always)]
+    #[must_use]
+    pub fn label(&self, bit: usize) -> u16 {
+        let own = |pixels: &u64| pixels >> bit & 1 != 0;
+        match self.pixels.iter().position(own) {
+            Some(entry) => self.palette[entry],
+            None if own(&self.missing) => NO_SPHERE,
+            None => INVALID,
         }
     }
 

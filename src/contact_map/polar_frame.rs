@@ -1,6 +1,6 @@
 //! From a frame's contact map on the sensor's grid to the polar maps of its spheres.
 
-use super::labels::{NO_SPHERE, SaintFrame};
+use super::labels::SaintFrame;
 use super::merged::ClaimMap;
 use crate::deproject::{Rays, Validity};
 use crate::fit::cloud::{CloudModel, CloudSphere, UNASSIGNED};
@@ -75,11 +75,11 @@ impl PolarMapper {
         self.model.assignment.clear();
         let mut lost = 0;
         for &pixel in &self.cloud.pixels {
-            let label = saint
-                .labels
-                .get(pixel as usize)
-                .copied()
-                .unwrap_or(NO_SPHERE);
+            let (x, y) = (
+                pixel as usize % self.rays.width,
+                pixel as usize / self.rays.width,
+            );
+            let label = saint.contacts.label(self.rays.width, x, y);
             let known = real.get(usize::from(label)).copied().unwrap_or(false);
             lost += u32::from(!known);
             let sphere = if known { u32::from(label) } else { UNASSIGNED };
@@ -96,6 +96,7 @@ mod tests {
     use crate::capture::FrameSource;
     use crate::capture::synthetic::{Scene, SyntheticOptions, SyntheticSource};
     use crate::codec::polar;
+    use crate::contact_map::labels::NO_SPHERE;
     use crate::fit::live::{FitOptions, Modeler};
     use glam::DVec3;
 
@@ -122,7 +123,7 @@ mod tests {
         let back = polar::decode(&bytes).unwrap();
         let rebuilt = back.rebuild();
         let rays = Rays::new(&camera);
-        for (pixel, &label) in saint.labels.iter().enumerate() {
+        for (pixel, label) in saint.labels(160, 120).into_iter().enumerate() {
             if label >= NO_SPHERE {
                 continue;
             }

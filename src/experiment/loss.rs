@@ -231,7 +231,7 @@ fn sets(sequence: &DepthFrames) -> Result<(Set, Set), ExperimentError> {
         for _ in 0..PIXELS {
             let at = chance.below(depth.len());
             let (x, y) = (at % rays.width, at / rays.width);
-            let (measured, label) = (depth[at], saint.labels[at]);
+            let (measured, label) = (depth[at], saint.contacts.label(rays.width, x, y));
             let Some((base, guesses)) = coarse.guesses(x, y) else {
                 continue;
             };

@@ -17,7 +17,7 @@ use super::motion::Motion;
 use super::scheme::{CloudFit, ParameterError};
 use super::sphere::Sphere;
 use crate::contact_map::contact::Reach;
-use crate::contact_map::labels::{INVALID, NO_SPHERE, SaintFrame};
+use crate::contact_map::labels::{Contacts, INVALID, NO_SPHERE, SaintFrame};
 use crate::deproject::{Rays, Validity};
 use crate::frame::{Camera, DepthFrame};
 use crate::partition::points::{LocalPoints, TooManyPoints};
@@ -160,10 +160,15 @@ impl FrameFit {
         };
         out.motion = Motion::default();
         self.see(frame, &model);
-        self.label(frame, &model, &mut out.labels);
+        let mut labels = match std::mem::take(&mut out.contacts) {
+            Contacts::Labels(labels) => labels,
+            Contacts::Blocks(_) => Vec::new(),
+        };
+        self.label(frame, &model, &mut labels);
         self.numbers
-            .settle(&self.spheres, &mut out.labels, &mut out.spheres);
-        report.explained_pixels = out.labels.iter().filter(|l| **l < NO_SPHERE).count() as u32;
+            .settle(&self.spheres, &mut labels, &mut out.spheres);
+        report.explained_pixels = labels.iter().filter(|l| **l < NO_SPHERE).count() as u32;
+        out.contacts = Contacts::Labels(labels);
         report.spheres = out.spheres.iter().flatten().count() as u32;
         report.new = report.spheres;
         Ok(report)

@@ -43,7 +43,8 @@ fn fitted(camera: &Camera, frame: &DepthFrame, with: &FitParameters) -> (SaintFr
 /// Every label against its meaning, in double precision.
 fn check(camera: &Camera, frame: &DepthFrame, saint: &SaintFrame, contact: ContactDistance) {
     let (rays, validity) = (Rays::new(camera), Validity::new(camera));
-    for (pixel, (&raw, &label)) in frame.depth.iter().zip(&saint.labels).enumerate() {
+    let labels = saint.labels(rays.width, rays.height);
+    for (pixel, (&raw, &label)) in frame.depth.iter().zip(&labels).enumerate() {
         assert_eq!(label == INVALID, !validity.accepts(raw), "pixel {pixel}");
         if label >= NO_SPHERE {
             continue;
@@ -87,10 +88,11 @@ fn known_spheres_come_back() {
             let covered = f64::from(report.explained_pixels) / f64::from(report.valid_pixels);
             // at a rim the ray runs along the surface, and its error is many times the distance
             assert!(covered > 0.93, "{noise:?} {scheme}: {covered} covered");
+            let labels = saint.labels(camera.width as usize, camera.height as usize);
             let mut found = 0;
             for sphere in &truth.spheres {
                 let mut pixels = vec![0u32; saint.spheres.len()];
-                for (label, surface) in saint.labels.iter().zip(&truth.surface) {
+                for (label, surface) in labels.iter().zip(&truth.surface) {
                     if *surface == sphere.surface && *label < NO_SPHERE {
                         pixels[usize::from(*label)] += 1;
                     }
@@ -178,7 +180,7 @@ fn a_hollow_is_seen_at_its_far_side() {
             "{scheme}: {report:?}"
         );
         check(&camera, &frame, &saint, with.contact_distance);
-        let label = saint.labels[24 * 64 + 32];
+        let label = saint.contacts.label(64, 32, 24);
         let sphere = saint.spheres[usize::from(label)].unwrap();
         let (center, radius) = sphere.center_radius();
         assert!(sphere.far, "{scheme}");
@@ -198,8 +200,8 @@ fn numbers_stay_with_their_surfaces() {
     fit.model(&frame, &mut first, &|| false).unwrap();
     fit.model(&frame, &mut second, &|| false).unwrap();
     assert_eq!(
-        (&first.labels, &first.spheres),
-        (&second.labels, &second.spheres)
+        (&first.contacts, &first.spheres),
+        (&second.contacts, &second.spheres)
     );
     // numbers swapped by hand: the fit names its spheres as the frame before does
     let mut numbers = Numbers {
@@ -230,10 +232,10 @@ fn no_time_and_no_measurement_give_frames_without_spheres() {
     let mut saint = SaintFrame::default();
     let report = fit.model(&frame, &mut saint, &|| true).unwrap();
     assert!(report.degraded && report.explained_pixels == 0 && report.valid_pixels > 0);
-    assert!(saint.labels.iter().all(|l| *l >= NO_SPHERE));
+    assert!(saint.labels(80, 60).iter().all(|l| *l >= NO_SPHERE));
     frame.depth.fill(0);
     let report = fit.model(&frame, &mut saint, &|| false).unwrap();
     assert_eq!((report.valid_pixels, report.spheres), (0, 0));
-    assert!(saint.labels.iter().all(|l| *l == INVALID));
+    assert!(saint.labels(80, 60).iter().all(|l| *l == INVALID));
     assert!(saint.spheres.is_empty());
 }

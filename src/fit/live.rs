@@ -19,10 +19,11 @@ use super::contact_distance::ContactDistance;
 use super::contacts::{View, touching};
 use super::moments::{self, Moments};
 use super::motion::Motion;
+use super::sphere::Sphere;
 use super::{cold, warm};
 use crate::contact_map::assign::{self, BlockContacts, Candidates, EMPTY, Palette};
 use crate::contact_map::contact::{Contact, measured};
-use crate::contact_map::labels::{self, INVALID, NO_SPHERE, SaintFrame};
+use crate::contact_map::labels::{Contacts, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
 use crate::frame::{Camera, DepthFrame};
 use crate::partition::lattice::{Lattice, Packing};
@@ -157,7 +158,9 @@ pub struct Modeler {
     wanting: Vec<u32>,
     frames: u32,
     slots: Vec<Option<Patch>>,
-    frame: SaintFrame,
+    /// The slots' surfaces, where the contact pass reads them.
+    surfaces: Vec<Option<Sphere>>,
+    motion: Motion,
     graph: Agglomeration,
     warm: warm::Workspace,
     cold: cold::Workspace,
@@ -185,10 +188,8 @@ impl Modeler {
             wanting: Vec::with_capacity(rays.blocks()),
             frames: 0,
             slots: Vec::with_capacity(room),
-            frame: SaintFrame {
-                spheres: Vec::with_capacity(room),
-                ..SaintFrame::default()
-            },
+            surfaces: Vec::with_capacity(room),
+            motion: Motion::default(),
             graph: Agglomeration::default(),
             warm: warm::Workspace::with_room(room),
             cold: cold::Workspace::with_room(room),
@@ -207,7 +208,7 @@ impl Modeler {
     pub fn reset(&mut self) {
         self.blocks.before.fill(EMPTY);
         self.slots.clear();
-        self.frame.spheres.clear();
+        self.surfaces.clear();
         self.cold.restart();
         self.frames = 0;
     }
@@ -267,7 +268,7 @@ impl Modeler {
             .sum();
         blocks.spheres.fill(NOTHING);
         blocks.misfit.fill(f32::INFINITY);
-        self.frame.motion = Motion::default();
+        self.motion = Motion::default();
         pixels
     }
 
@@ -281,7 +282,7 @@ impl Modeler {
 
     /// Pass 2: the last frame's spheres.
     fn warm_start(&mut self, report: &mut FitReport) {
-        self.frame.motion = warm::start(
+        self.motion = warm::start(
             &self.rays,
             &mut self.blocks,
             &mut self.slots,
@@ -338,7 +339,7 @@ impl Modeler {
             misfit: &blocks.misfit,
             before: &blocks.before,
             fresh: again.then_some(&self.cold.fresh),
-            surfaces: &self.frame.spheres,
+            surfaces: &self.surfaces,
             contact: &self.contact,
         };
         if !again {
@@ -370,7 +371,7 @@ impl Modeler {
                     }
                 }
             }
-            let pixels = |id: u16| match self.frame.spheres.get(usize::from(id)) {
+            let pixels = |id: u16| match self.surfaces.get(usize::from(id)) {
                 Some(Some(sphere)) => {
                     touching(&self.contact, &self.plane, &self.rays, (x, y), sphere)
                 }
@@ -382,15 +383,13 @@ impl Modeler {
 
     /// Copies the slots' surfaces to where the contact pass reads them.
     fn sync_spheres(&mut self) {
-        self.frame.spheres.clear();
-        self.frame
-            .spheres
-            .extend(self.slots.iter().map(|s| s.map(|p| p.fit.sphere)));
+        self.surfaces.clear();
+        let surfaces = self.slots.iter().map(|s| s.map(|p| p.fit.sphere));
+        self.surfaces.extend(surfaces);
     }
 
-    /// Frees spheres nothing touches, writes labels, remembers the palettes.
+    /// Frees spheres nothing touches, gives away the contacts, remembers the palettes.
     fn finish(&mut self, out: &mut SaintFrame, report: &mut FitReport) {
-        let (width, height, columns) = (self.rays.width, self.rays.height, self.rays.block_columns);
         let used = &mut self.warm.used;
         used.clear();
         used.resize(self.slots.len(), 0);
@@ -402,24 +401,20 @@ impl Modeler {
             }
         }
         report.spheres = self.slots.iter().flatten().count() as u32;
-        out.motion = self.frame.motion;
+        out.motion = self.motion;
         out.spheres.clear();
         out.spheres.reserve(self.slots.capacity());
         out.spheres
             .extend(self.slots.iter().map(|s| s.map(|p| p.fit.sphere)));
-        out.labels.resize(width * height, INVALID);
-        out.labels
-            .par_chunks_mut(width * BLOCK)
-            .enumerate()
-            .for_each(|(by, rows)| {
-                let row = by * columns..(by + 1) * columns;
-                labels::write_rows(
-                    rows,
-                    width,
-                    &self.blocks.valid[row.clone()],
-                    &self.blocks.contacts[row],
-                );
-            });
+        // the next frame is divided in the list of an earlier one
+        let contacts = std::mem::take(&mut self.blocks.contacts);
+        if let Contacts::Blocks(earlier) =
+            std::mem::replace(&mut out.contacts, Contacts::Blocks(contacts))
+        {
+            self.blocks.contacts = earlier;
+        }
+        let count = self.blocks.len();
+        self.blocks.contacts.resize(count, BlockContacts::default());
     }
 }
 

@@ -14,6 +14,7 @@ use super::mailbox::MailboxSender;
 use super::packet::Packet;
 use super::stages::{Encode, Model, Shared};
 use super::start::Place;
+use crate::contact_map::labels::Contacts;
 use crate::deproject::Validity;
 use crate::frame::{Camera, DepthFrame, FrameTime};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -115,7 +116,12 @@ impl Rehearsal {
         let room = home.iter().map(|p| p.encoded.payload.len()).max();
         let room = 2 * room.unwrap_or(0);
         let spheres = home.iter().map(|p| p.saint.spheres.capacity()).max();
+        let mut maps = home.iter().map(|p| &p.saint.contacts);
+        let contacts = maps.find(|c| **c != Contacts::default()).cloned();
         for packet in &mut home {
+            if let Some(contacts) = &contacts {
+                packet.saint.contacts.clone_from(contacts);
+            }
             cover(packet, self.camera.pixels(), room, spheres.unwrap_or(0));
         }
         home
@@ -136,7 +142,6 @@ fn receive(empties: &Receiver<Box<Packet>>, shared: &Shared<'_>) -> Option<Box<P
 /// Takes the memory a packet's buffers will need, and touches it.
 fn cover(packet: &mut Packet, pixels: usize, payload: usize, spheres: usize) {
     packet.depth.depth.resize(pixels, 0);
-    packet.saint.labels.resize(pixels, 0);
     packet.saint.spheres.clear();
     packet.saint.spheres.resize(spheres, None);
     packet.encoded.payload.clear();

@@ -69,14 +69,12 @@ impl Sampler {
     pub fn residual(&mut self, depth: &DepthFrame, saint: &SaintFrame) -> Residual {
         self.errors.clear();
         let width = self.rays.width;
-        let rows = depth
-            .depth
-            .chunks_exact(width)
-            .zip(saint.labels.chunks_exact(width));
-        for (y, (row, labels)) in rows.enumerate().step_by(self.stride) {
+        let rows = depth.depth.chunks_exact(width);
+        for (y, row) in rows.enumerate().step_by(self.stride) {
             let v = self.rays.v[y];
             for x in (0..width).step_by(self.stride) {
-                let sphere = saint.spheres.get(usize::from(labels[x])).copied().flatten();
+                let label = saint.contacts.label(width, x, y);
+                let sphere = saint.spheres.get(usize::from(label)).copied().flatten();
                 let Some(sphere) = sphere.filter(|_| self.validity.accepts(row[x])) else {
                     continue;
                 };

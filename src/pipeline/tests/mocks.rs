@@ -2,7 +2,7 @@
 
 use crate::capture::{CaptureError, FrameSource, Next, SourceLosses};
 use crate::codec::EncodedFrame;
-use crate::contact_map::labels::SaintFrame;
+use crate::contact_map::labels::{Contacts, SaintFrame};
 use crate::frame::{Camera, ColorFrame, DepthFrame, FrameTime, Intrinsics};
 use crate::pipeline::StageError;
 use crate::pipeline::color::ColorSource;
@@ -150,8 +150,7 @@ impl Model for MockModel<'_> {
         };
         self.seen += 1;
         self.state = self.state.wrapping_mul(31).wrapping_add(depth.depth[0]);
-        saint.labels.clear();
-        saint.labels.extend([self.state, depth.depth[1]]);
+        saint.contacts = Contacts::Labels(vec![self.state, depth.depth[1]]);
         Ok(ModelReport {
             hurried: false,
             points: 2,
@@ -193,7 +192,7 @@ impl Encode for MockEncode {
         self.seen += 1;
         encoded.sequence = depth.sequence;
         encoded.payload.clear();
-        for label in &saint.labels {
+        for label in saint.labels(2, 1) {
             encoded.payload.extend(label.to_le_bytes());
         }
         Ok(CodingReport::default())

@@ -105,7 +105,7 @@ impl Model for Dear<'_> {
         saint: &mut crate::contact_map::labels::SaintFrame,
         deadline: &dyn Fn() -> bool,
     ) -> Result<packet::ModelReport, StageError> {
-        saint.labels.resize(depth.depth.len(), 0);
+        saint.contacts = crate::contact_map::labels::Contacts::Labels(vec![0; depth.depth.len()]);
         let needs = (self.needs_ms)(depth.sequence);
         let mut done = 0;
         while done < needs && !deadline() {
