@@ -402,7 +402,8 @@ impl Around {
             row: mask.window((x, LEFT), (y, 0)),
             below: mask.window((x, LEFT), (y + 1, 0)),
             past: before.map(|(past, (x, y))| {
-                [(y, 1), (y, 0), (y + 1, 0)].map(|row| past.window((x, LEFT), row))
+                let window = |row| past.window((x, LEFT), row);
+                [window((y, 1)), window((y, 0)), window((y + 1, 0))]
             }),
         }
     }
@@ -412,7 +413,8 @@ impl Around {
     #[inline(always)]
     fn place(&self, j: usize) -> Place {
         // bit 3 of each row is the pixel's own column
-        let [top, above, row, below] = [self.top, self.above, self.row, self.below].map(|w| w >> j);
+        let (top, above) = (self.top >> j, self.above >> j);
+        let (row, below) = (self.row >> j, self.below >> j);
         let near = row >> 1 & 3 | (above >> 2 & 7) << 2 | (top >> 3 & 1) << 5;
         let ahead = row >> 4 & 1 | (below >> 3 & 1) << 1;
         let wide = row & 1
@@ -423,7 +425,8 @@ impl Around {
         let (few, all) = match self.past {
             None => (8, 512),
             Some(past) => {
-                let [n, same, s] = past.map(|w| w >> (j + 2) & 7);
+                let at = |row: usize| past[row] >> (j + 2) & 7;
+                let (n, same, s) = (at(0), at(1), at(2));
                 (same >> 1 | (s >> 1 & 1) << 2, n | same << 3 | s << 6)
             }
         };

@@ -40,7 +40,11 @@ pub(super) fn choose<K: Fn(usize) -> u64 + Sync>(
     rows.for_each(|(by, (palettes, sizes))| {
         for (bx, (palette, size)) in palettes.iter_mut().zip(sizes).enumerate() {
             let k = by * columns + bx;
-            (*palette, *size) = gather(saint, rays, k, known(k));
+            let known = known(k);
+            (*palette, *size) = match alone(saint, k, known) {
+                Some(slot) => ([slot, NO_SPHERE, NO_SPHERE, NO_SPHERE], 1),
+                None => gather(saint, rays, k, known),
+            };
             if plain && *size > 1 {
                 // no labels to code: what the first does not give back is written as it is
                 palette[1..].fill(NO_SPHERE);
@@ -72,6 +76,18 @@ pub(super) fn choose<K: Fn(usize) -> u64 + Sync>(
             }
         }
     });
+}
+
+/// The sphere of block `k` where the live fit found one for all of its `measured` pixels, as mostly.
+#[inline(always)]
+fn alone(saint: &SaintFrame, k: usize, measured: u64) -> Option<u16> {
+    let Contacts::Blocks(blocks) = &saint.contacts else {
+        return None;
+    };
+    let slot = blocks[k].palette[0];
+    let all = measured != 0 && measured & !blocks[k].pixels[0] == 0;
+    let there = matches!(saint.spheres.get(usize::from(slot)), Some(Some(_)));
+    (all && there).then_some(slot)
 }
 
 /// The palette of block `k` in model slots, and its size, before any is left out; `measured` are its
