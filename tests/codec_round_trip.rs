@@ -16,6 +16,7 @@ use saint_live::contact_map::labels::{Contacts, INVALID, NO_SPHERE, SaintFrame};
 use saint_live::fit::contact_distance::ContactDistance;
 use saint_live::fit::live::{FitOptions, Modeler};
 use saint_live::fit::sphere::Sphere;
+use saint_live::frame::DepthFrame;
 
 /// Bounds tried: the default, tight, below half a unit, and so wide that anything touches.
 fn contacts() -> [ContactDistance; 4] {
@@ -67,6 +68,30 @@ fn coded(size: (u32, u32), picture: Picture, with: CodecOptions, seed: u64, plai
             .decode(&encoded.payload)
             .unwrap_or_else(|error| panic!("{what}: {error}"));
         check(&what, &camera, &frame, decoded, &with.tolerance);
+        let (width, height) = (size.0 as usize, size.1 as usize);
+        let mut blocks = vec![Vec::new(); width.div_ceil(8) * height.div_ceil(8)];
+        for (i, (&raw, &back)) in frame.depth.iter().zip(&decoded.depth_m).enumerate() {
+            if back > 0.0 {
+                let block = i / width / 8 * width.div_ceil(8) + i % width / 8;
+                let depth_m = (f64::from(raw) * camera.depth_unit_m) as f32;
+                blocks[block].push(depth_m - back);
+            }
+        }
+        for (first, every) in [(0, 1), (number as usize, 3)] {
+            let mut errors = Vec::new();
+            encoder.errors(&frame, (first, every), |error| errors.push(error));
+            let some = blocks.iter().skip(first).step_by(every);
+            assert_eq!(
+                errors,
+                some.flatten().copied().collect::<Vec<_>>(),
+                "{what}"
+            );
+        }
+        let stale = DepthFrame {
+            sequence: number + 1,
+            ..frame
+        };
+        encoder.errors(&stale, (0, 1), |_| panic!("{what}: not the last frame"));
     }
 }
 

@@ -268,7 +268,7 @@ pub fn stages(camera: &Camera, engine: &Engine) -> Result<(Box<dyn Model>, Encod
 /// The encode stage.
 pub struct EncodeStage {
     coding: Coding,
-    /// Looks at errors; not where they are measured otherwise, or are none.
+    /// Looks at errors; not where they are measured otherwise.
     sampler: Option<Sampler>,
     rate: Option<Rate>,
 }
@@ -290,7 +290,7 @@ impl EncodeStage {
         };
         Ok(Self {
             coding,
-            sampler: (!engine.codec.tolerance.lossless).then(|| Sampler::new(camera)),
+            sampler: Some(Sampler::new(camera)),
             rate: None,
         })
     }
@@ -335,9 +335,10 @@ impl Encode for EncodeStage {
                 (lost, Spent::default())
             }
         };
-        let residual = match &mut self.sampler {
-            Some(sampler) => sampler.residual(depth, saint),
-            None => Residual::default(),
+        let residual = match (&mut self.sampler, &self.coding) {
+            (Some(sampler), Coding::Sensor(encoder)) => sampler.of_payload(depth, encoder),
+            (Some(sampler), Coding::Polar(_)) => sampler.of_spheres(depth, saint),
+            (None, _) => Residual::default(),
         };
         Ok(CodingReport {
             lost,

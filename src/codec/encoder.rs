@@ -10,7 +10,7 @@ use super::spent::EncodeReport;
 use super::sphere_table::{self, Entry, Statement, Support};
 use super::state::{MAX_SPHERES, State};
 use super::surface::{self, Surfaces, to_integer};
-use super::{CodecError, EncodedFrame, mask, mask_choice, palette_choice};
+use super::{CodecError, EncodedFrame, mask, mask_choice, output, palette_choice};
 use crate::contact_map::contact::Reach;
 use crate::contact_map::labels::{Contacts, NO_SPHERE, SaintFrame};
 use crate::deproject::{BLOCK, Rays, Validity};
@@ -194,6 +194,34 @@ impl Encoder {
         let report = self.encode(frame, saint, true, out);
         self.plain = false;
         report
+    }
+
+    /// Differences along z, metres, between `frame`, the last one encoded, and what its payload gives
+    /// back: of pixels that both have, in one block of 8×8 in `every`, from block `first` on. None where
+    /// another frame was the last one.
+    pub fn errors(
+        &self,
+        frame: &DepthFrame,
+        (first, every): (usize, usize),
+        mut error: impl FnMut(f32),
+    ) {
+        let (rays, stream) = (&self.rays, &self.stream);
+        let known = self.last_sequence == Some(frame.sequence);
+        if !known || frame.depth.len() != rays.width * rays.height {
+            return;
+        }
+        for k in (first..rays.blocks()).step_by(every.max(1)) {
+            let depths = output::block_depths(&self.state, rays, k, stream, &self.reach);
+            let (x0, y0, w, h) = mask::extent(rays, k);
+            for (j, row) in depths.chunks_exact(BLOCK).take(h).enumerate() {
+                let raw = &frame.depth[(y0 + j) * rays.width + x0..][..w];
+                for (&z, &raw) in row.iter().zip(raw) {
+                    if z > 0.0 && self.validity.accepts(raw) {
+                        error((f64::from(raw) * stream.depth_unit_m) as f32 - z);
+                    }
+                }
+            }
+        }
     }
 
     /// What the errors of the frame last encoded are worth, in bits, by the price that labels were

@@ -1,5 +1,6 @@
 //! Depth errors as numbers for people: sampled while live, complete in the bench.
 
+use saint_live::codec::Encoder;
 use saint_live::contact_map::labels::SaintFrame;
 use saint_live::deproject::{Rays, Validity};
 use saint_live::frame::{Camera, DepthFrame};
@@ -42,13 +43,11 @@ impl Residuals {
     }
 }
 
-/// Samples the distance between measured depth and the depth its sphere gives back.
+/// Looks at the errors of some pixels of each frame.
 pub struct Sampler {
     rays: Rays,
     validity: Validity,
     unit: f32,
-    /// One pixel in this many is looked at, along x and along y.
-    stride: usize,
     errors: Residuals,
 }
 
@@ -59,20 +58,30 @@ impl Sampler {
             rays: Rays::new(camera),
             validity: Validity::new(camera),
             unit: camera.depth_unit_m as f32,
-            stride: (camera.pixels() / LOOKED_AT).isqrt().max(1),
             errors: Residuals::default(),
         }
     }
 
-    /// Errors of a modelled frame, of some of its pixels. Pixels without a sphere are left out:
-    /// their depth is kept by other means.
-    pub fn residual(&mut self, depth: &DepthFrame, saint: &SaintFrame) -> Residual {
+    /// Errors of the payload that `encoder` made of `depth`: of some blocks, others in each frame.
+    pub fn of_payload(&mut self, depth: &DepthFrame, encoder: &Encoder) -> Residual {
+        self.errors.clear();
+        let every = (depth.depth.len() / LOOKED_AT).max(1);
+        let first = (depth.sequence % every as u64) as usize;
+        encoder.errors(depth, (first, every), |error_m| self.errors.push_m(error_m));
+        self.errors.summary()
+    }
+
+    /// Distances of a modelled frame's measurements from their spheres, of some of its pixels. Those
+    /// without a sphere are left out.
+    pub fn of_spheres(&mut self, depth: &DepthFrame, saint: &SaintFrame) -> Residual {
         self.errors.clear();
         let width = self.rays.width;
+        // one pixel in so many along x and along y
+        let stride = (depth.depth.len() / LOOKED_AT).isqrt().max(1);
         let rows = depth.depth.chunks_exact(width);
-        for (y, row) in rows.enumerate().step_by(self.stride) {
+        for (y, row) in rows.enumerate().step_by(stride) {
             let v = self.rays.v[y];
-            for x in (0..width).step_by(self.stride) {
+            for x in (0..width).step_by(stride) {
                 let label = saint.contacts.label(width, x, y);
                 let sphere = saint.spheres.get(usize::from(label)).copied().flatten();
                 let Some(sphere) = sphere.filter(|_| self.validity.accepts(row[x])) else {
