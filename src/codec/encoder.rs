@@ -180,7 +180,7 @@ impl Encoder {
 
     /// Encodes one frame for which there is no time: mask pixels and the depths that no sphere gives
     /// back are written as they are, in blocks that have any, and a block gets one sphere. A VGA frame
-    /// of noise takes some 5 ms, not 160, and 16 bits a pixel.
+    /// of noise takes some 2 ms, not 30, and 16 bits a pixel.
     ///
     /// # Errors
     /// As [`encode`](Self::encode).
