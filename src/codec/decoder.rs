@@ -9,7 +9,7 @@ use super::range_coder::Decoder as RangeDecoder;
 use super::sphere_table::{self, Support};
 use super::state::State;
 use crate::contact_map::contact::Reach;
-use crate::deproject::Rays;
+use crate::deproject::{BLOCK, Rays};
 use crate::fit::motion::Motion;
 use crate::fit::sphere::Sphere;
 use crate::frame::{Camera, FrameTime};
@@ -257,8 +257,14 @@ fn read_plainly(
         return Err(wrong);
     }
     let mut depths = depths.iter();
-    state.state_plainly(rays, |_, _| {
-        depths.next().map_or(0, |bytes| u16::from_le_bytes(*bytes))
+    state.state_plainly(rays, |_, _, on| {
+        let mut row = [0; BLOCK];
+        for (i, integer) in row.iter_mut().enumerate() {
+            if on >> i & 1 != 0 {
+                *integer = depths.next().map_or(0, |bytes| u16::from_le_bytes(*bytes));
+            }
+        }
+        row
     });
     Ok(())
 }

@@ -600,10 +600,17 @@ impl Encoder {
             let length = (section.len() - 4) as u32;
             section[..4].copy_from_slice(&length.to_le_bytes());
             section.reserve(2 * self.state.plain_pixels(rays));
-            self.state.state_plainly(rays, |x, y| {
-                let integer = plane[y * stride + x];
-                section.extend(integer.to_le_bytes());
-                integer
+            self.state.state_plainly(rays, |x, y, on| {
+                let row = plane[y * stride + x..].first_chunk();
+                let row = row.copied().unwrap_or_default();
+                let bytes = row.map(u16::to_le_bytes);
+                if on == u8::MAX {
+                    section.extend_from_slice(bytes.as_flattened());
+                } else {
+                    let some = (0..BLOCK).filter(|i| on >> i & 1 != 0);
+                    section.extend(some.flat_map(|i| bytes[i]));
+                }
+                row
             });
             return Ok(());
         }

@@ -339,20 +339,35 @@ impl State {
             .sum()
     }
 
-    /// States the depths of a plain frame, in raster order; `integer` tells or takes the one at (x, y).
-    pub fn state_plainly(&mut self, rays: &Rays, mut integer: impl FnMut(usize, usize) -> u16) {
+    /// States the depths of a plain frame, in raster order: `integers` tells or takes those of eight
+    /// pixels from (x, y) on, of which `on` are measured, bit by bit.
+    pub fn state_plainly(
+        &mut self,
+        rays: &Rays,
+        mut integers: impl FnMut(usize, usize, u8) -> [u16; BLOCK],
+    ) {
         let State { now, cells, .. } = self;
-        write_near(rays, now, cells, true);
+        cells.reset(rays);
         for y in 0..rays.height {
+            let (first, j) = (y / BLOCK * rays.block_columns, y % BLOCK);
             for bx in 0..rays.block_columns {
-                let k = y / BLOCK * rays.block_columns + bx;
-                let Some(tile) = cells.get_mut(k).filter(|_| now.kinds[k] != Kind::Smooth) else {
+                if now.kinds[first + bx] == Kind::Smooth {
                     continue;
-                };
-                let row = &mut tile[y % BLOCK * BLOCK..][..BLOCK];
+                }
+                if j == 0 {
+                    cells.put(first + bx, [Cell::default(); BLOCK * BLOCK]);
+                }
                 let on = now.mask.pixels.row(bx, y);
-                for (i, cell) in row.iter_mut().enumerate().filter(|c| on >> c.0 & 1 != 0) {
-                    *cell = Cell::of_bin(integer(bx * BLOCK + i, y), 0, 0);
+                let rows = cells.get_mut(first + bx).map(|tile| tile.as_chunks_mut().0);
+                if let (1.., Some(rows)) = (on, rows) {
+                    let given = integers(bx * BLOCK, y, on);
+                    let mut row = [Cell::default(); BLOCK];
+                    for i in 0..BLOCK {
+                        if on >> i & 1 != 0 {
+                            row[i] = Cell::of_bin(given[i], 0, 0);
+                        }
+                    }
+                    rows[j] = row;
                 }
             }
         }
