@@ -119,13 +119,6 @@ pub fn coding_work(pixels: u64, left: u64) -> u64 {
     pixels + PLAIN * left
 }
 
-/// The same of a plain coding: writing a pixel as it is takes at most a third of what the frame takes
-/// for each of its pixels (VGA, three sensors: 1.7 to 2.6 ms with few left, 1.6 to 2.3 with most).
-#[must_use]
-pub fn plain_work(pixels: u64, left: u64) -> u64 {
-    pixels + left / 3
-}
-
 /// What coding a frame is likely to take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Coding {

@@ -30,7 +30,8 @@ pub enum Act {
     Cold,
     /// Warm from the one before: what a frame costs.
     Warm,
-    /// Coded plainly: what that costs. The last one.
+    /// No time at all: fitted to nothing and coded plainly. Most memory, and what the worst costs. The
+    /// last one.
     Plain,
 }
 
@@ -113,7 +114,8 @@ impl Rehearsal {
             home.push(packet);
         }
         // the payload of a real frame may be longer than that of a made-up one
-        let room = home.iter().map(|p| p.encoded.payload.len()).max();
+        let coded = home.iter().filter(|p| p.act != Some(Act::Plain));
+        let room = coded.map(|p| p.encoded.payload.len()).max();
         let room = 2 * room.unwrap_or(0);
         let spheres = home.iter().map(|p| p.saint.spheres.capacity()).max();
         let mut maps = home.iter().map(|p| &p.saint.contacts);
@@ -124,6 +126,8 @@ impl Rehearsal {
             }
             cover(packet, self.camera.pixels(), room, spheres.unwrap_or(0));
         }
+        // the last one is used first, by the frame that is likeliest to be coded plainly
+        home.sort_by_key(|p| p.encoded.payload.capacity());
         home
     }
 }
@@ -157,11 +161,15 @@ impl Shared<'_> {
         packet: &mut Packet,
     ) -> bool {
         let report = self.guarded(Stage::Model, 0, || {
-            let mut report = model.model(&packet.depth, &mut packet.saint, &|| false)?;
-            report.hurried = act == Act::Plain;
-            if act == Act::Plain && !model.start_over() {
-                return Err("it was rehearsed and does not start over".into());
-            }
+            let last = act == Act::Plain;
+            let start_over = |model: &mut dyn Model| match !last || model.start_over() {
+                true => Ok(()),
+                false => Err("it was rehearsed and does not start over"),
+            };
+            start_over(model)?;
+            let mut report = model.model(&packet.depth, &mut packet.saint, &|| last)?;
+            report.hurried = last;
+            start_over(model)?;
             Ok(report)
         });
         packet.record.modelled = report.unwrap_or_default();

@@ -164,7 +164,7 @@ impl Model for MockModel<'_> {
     fn start_over(&mut self) -> bool {
         self.state = 0;
         let seen = std::mem::take(&mut self.seen);
-        self.rehearsed = self.rehearsed.map(|_| seen);
+        self.rehearsed = self.rehearsed.map(|earlier| earlier + seen);
         self.rehearsed.is_some()
     }
 }
@@ -200,7 +200,7 @@ impl Encode for MockEncode {
 
     fn start_over(&mut self) -> bool {
         let seen = std::mem::take(&mut self.seen);
-        self.rehearsed = self.rehearsed.map(|_| seen);
+        self.rehearsed = self.rehearsed.map(|earlier| earlier + seen);
         self.rehearsed.is_some()
     }
 }
