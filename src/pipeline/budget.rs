@@ -93,30 +93,14 @@ pub fn decide(elapsed: Duration, work: WorkLeft, budget: Budget) -> Decision {
     }
 }
 
-/// A pixel no sphere explains takes this many times as long to code as one on a sphere, beyond its
-/// own, at worst (VGA noise 100 ns a pixel, walls and furniture 10 ns on spheres and 20 more without).
-const PLAIN: u64 = 10;
-
-/// What a unit of coding is taken to cost before it was measured: more than it mostly does.
-const FIRST_NS: u64 = 25;
-
 /// A frame leaves much where at least one of so many points is on no sphere: coded plainly they take
 /// sixteen bits each.
 const MUCH: u64 = 8;
 
 /// True where `left` of the `points` are many to code without a sphere.
 #[must_use]
-pub fn leaves_much(points: u32, left: u32) -> bool {
-    u64::from(left) * MUCH > u64::from(points)
-}
-
-/// The work of coding a frame of `pixels`, of which `left` are on no sphere.
-///
-/// With it the cost of coding is learnt apart from how well the frame was modelled. Otherwise a fit
-/// cut short makes coding dear, which leaves the next fit less time, and so on down.
-#[must_use]
-pub fn coding_work(pixels: u64, left: u64) -> u64 {
-    pixels + PLAIN * left
+pub fn leaves_much(points: u64, left: u64) -> bool {
+    left * MUCH > points
 }
 
 /// What coding a frame is likely to take.
@@ -192,27 +176,10 @@ impl CostModel {
         Duration::from_nanos((self.ns_per_unit * units as f64) as u64)
     }
 
-    /// What `units` of coding will cost; a guess before the first measurement, so that a stream that
-    /// begins with noise is not late from the start.
-    #[must_use]
-    pub fn predict_coding(&self, units: u64) -> Duration {
-        if self.ns_per_unit == 0.0 {
-            Duration::from_nanos(units * FIRST_NS)
-        } else {
-            self.predict(units)
-        }
-    }
-
     /// Forgets a little after a frame was given up: nothing was measured, and an estimate that
     /// nothing corrects would refuse every frame for ever.
     pub fn relax(&mut self) {
         self.ns_per_unit *= 0.9;
-    }
-
-    /// The same after a hurried frame, which tells nothing of what the whole work costs: a whole one
-    /// is tried again after some twenty.
-    pub fn fade(&mut self) {
-        self.ns_per_unit *= 0.99;
     }
 }
 
@@ -260,20 +227,6 @@ mod tests {
         };
         assert_eq!(decide(ms(6), work, budget), Decision::RunFor(ms(20)));
         assert_eq!(decide(ms(900), work, budget), Decision::RunFor(ms(4)));
-    }
-
-    #[test]
-    fn noise_is_foreseen_before_anything_was_measured() {
-        let mut cost = CostModel::default();
-        let noise = coding_work(300_000, 300_000);
-        let coding = Coding {
-            whole: cost.predict_coding(noise),
-            plain: cost.predict(300_000),
-        };
-        assert!(coding.hurries(ms(25), true, false));
-        assert_eq!(cost.predict(noise), Duration::ZERO);
-        cost.observe(1000, ms(1));
-        assert_eq!(cost.predict_coding(10), cost.predict(10));
     }
 
     #[test]
@@ -357,24 +310,6 @@ mod tests {
         assert_eq!(limit(None), limit(Some(30.0)));
         assert_eq!(limit(Some(f64::NAN)), limit(None));
         assert_eq!(limit(Some(0.0)), limit(None));
-    }
-
-    #[test]
-    fn a_fit_cut_short_does_not_shorten_the_next_one() {
-        let (pixels, left) = (300_000, 60_000);
-        let mut encode = CostModel::default();
-        encode.observe(coding_work(pixels, 0), ms(8));
-        let calm = encode.predict(coding_work(pixels, likely_left(pixels, 0)));
-        // the fit was cut: a fifth of the pixels are coded plainly, in three times the time
-        encode.observe(coding_work(pixels, left), ms(24));
-        let after = encode.predict(coding_work(pixels, likely_left(pixels, left)));
-        assert!(
-            after.abs_diff(calm) < Duration::from_micros(10),
-            "{after:?}, {calm:?}"
-        );
-        // noise: no fit helps, so its cost is expected again
-        let noise = encode.predict(coding_work(pixels, likely_left(pixels, 299_000)));
-        assert!(noise > 10 * calm, "{noise:?}, {calm:?}");
     }
 
     /// One worker, frames every `period`, the newest waits (latest wins). `cost(n)` is what frame

@@ -33,6 +33,7 @@
 mod alone;
 pub mod budget;
 pub mod clock;
+pub mod coding_cost;
 pub mod color;
 mod engines;
 mod error;

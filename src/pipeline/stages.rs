@@ -5,10 +5,10 @@
 //! down after a failure is the same as shutting down after the last frame.
 
 use super::budget::{
-    Budget, Coding, CostModel, Decision, Late, WorkLeft, coding_work, decide, leaves_much,
-    likely_left,
+    Budget, Coding, CostModel, Decision, Late, WorkLeft, decide, leaves_much, likely_left,
 };
 use super::clock::Clock;
+use super::coding_cost::CodingCost;
 use super::error::{PipelineError, Stage, StageError, panic_message};
 use super::packet::{CodingReport, ModelReport, Packet, Span};
 use super::report::Report;
@@ -116,8 +116,7 @@ pub trait Sink: Send {
 #[derive(Debug, Default)]
 struct Costs {
     model: CostModel,
-    /// Per unit of [`coding_work`].
-    encode: CostModel,
+    encode: CodingCost,
     /// Per pixel, however many are on a sphere (VGA, three sensors: 1.6 to 3.1 ms with few left without,
     /// 1.5 to 2.5 with most).
     plain: CostModel,
@@ -134,7 +133,7 @@ impl Costs {
     /// What coding a frame of `pixels` takes, of which `left` are on no sphere.
     fn coding(&self, pixels: u64, left: u64) -> Coding {
         Coding {
-            whole: self.encode.predict_coding(coding_work(pixels, left)),
+            whole: self.encode.predict_or_guess(pixels, left),
             plain: self.plain.predict(pixels),
         }
     }
@@ -324,7 +323,7 @@ impl<'a> Shared<'a> {
             let coding = if self.budget.late == Late::Degrade {
                 costs.kept_for_coding(pixels)
             } else {
-                costs.encode.predict(coding_work(pixels, costs.left))
+                costs.encode.predict(pixels, costs.left)
             };
             WorkLeft {
                 stage: costs.model.predict(pixels),
@@ -378,7 +377,7 @@ impl<'a> Shared<'a> {
         let (work, coding) = {
             let costs = locked(&self.costs);
             let work = WorkLeft {
-                stage: costs.encode.predict(coding_work(pixels, left)),
+                stage: costs.encode.predict(pixels, left),
                 after: costs.sink.predict(1),
             };
             (work, costs.coding(pixels, left))
@@ -388,7 +387,7 @@ impl<'a> Shared<'a> {
         match decide(ns(packet.record.stamp_ns, start), work, self.budget) {
             Decision::Run => {}
             Decision::RunFor(time) => {
-                let much = leaves_much(modelled.points, modelled.left());
+                let much = leaves_much(u64::from(modelled.points), left);
                 let behind = !locked(&self.costs).settled;
                 modelled.hurried = coding.hurries(time, much, behind);
                 modelled.degraded |= modelled.hurried;
@@ -427,18 +426,18 @@ impl<'a> Shared<'a> {
     pub(super) fn learn_coding(&self, packet: &Packet, start: i64, end: i64) {
         let pixels = packet.depth.depth.len() as u64;
         let modelled = &packet.record.modelled;
+        let (points, left) = (u64::from(modelled.points), u64::from(modelled.left()));
         let mut costs = locked(&self.costs);
         if modelled.hurried {
             costs.plain.observe(pixels, ns(start, end));
-            if leaves_much(modelled.points, modelled.left()) {
+            if leaves_much(points, left) {
                 costs.encode.fade();
             } else {
                 // a whole coding is soon tried again: what is feared may have been a moment's
                 costs.encode.relax();
             }
         } else {
-            let work = coding_work(pixels, u64::from(modelled.left()));
-            costs.encode.observe(work, ns(start, end));
+            costs.encode.observe(pixels, left, ns(start, end));
         }
     }
 
